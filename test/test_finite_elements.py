@@ -1,5 +1,6 @@
 """Meshes with the loads of a body: CalculiX against closed forms, FEBio, ParaView, bad input."""
 
+import re
 import shutil
 import subprocess
 from xml.etree import ElementTree
@@ -204,7 +205,7 @@ def test_bad_words_for_a_mesh(walk, other, says):
 
 
 def test_febio(walk, tmp_path):
-    """Names that are referred to exist; curves are the loads. FEBio itself was not at hand."""
+    """Names that are referred to exist; curves are the loads."""
     body, steps, _ = pylon(*walk)
     write_body(body, steps, tmp_path / "pylon.feb", lambda text: None)
     root = ElementTree.parse(tmp_path / "pylon.feb").getroot()
@@ -225,11 +226,21 @@ def test_febio(walk, tmp_path):
         one.get("id"): [float(p.text.split(",")[1]) for p in one.iter("pt")]
         for one in root.iter("load_controller")
     }
-    (pull,) = (one for one in root.iter("rigid_load") if one.get("name") == "rigid_ankle_Rz")
+    (pull,) = (one for one in root.iter("rigid_load") if one.find("dof").text == "Rz")
     expected = [0.0, *(step.forces[0, 2] for step in steps)]
     assert curves[pull.find("value").get("lc")] == pytest.approx(expected)
     z = next(root.iter("body_load")).find("z")
     assert curves[z.get("lc")][1] == pytest.approx(-1000.0 * steps[0].gravity[2], rel=0.5)
+
+
+def test_febio_as_pyfebio_reads_it(walk, tmp_path):
+    """A model of the specification by others; its reader takes no 1 for a fixed direction."""
+    model = pytest.importorskip("pyfebio.model", reason="pyfebio is not installed")
+    body, steps, _ = pylon(*walk)
+    write_body(body, steps, tmp_path / "pylon.feb", lambda text: None)
+    text = re.sub(r"<(R._dof)>1</\1>", "", (tmp_path / "pylon.feb").read_text())
+    read = model.Model.from_xml(text.encode())
+    assert len(read.rigid_.all_rigid_loads) == 6
 
 
 def test_a_series_for_paraview(walk, tmp_path):

@@ -287,3 +287,35 @@ def test_the_command(walk, tmp_path):
     assert done.returncode == 0, done.stderr
     assert "cut at knee, ankle" in done.stdout
     assert mbd.read_result(tmp_path / "shank.npz")["samples"]["balance.off"].max() <= 1e-9
+
+
+def test_a_force_plate():
+    """The load of the plate arrives whole, in axes of the foot, and the ankle carries it."""
+    scene = mbd.load_scene("prosthetic_leg_stance")
+    motion = scene.simulate(0.02)
+    time = motion["samples"]["time"]
+    pushed = {"force.z": 700.0, "force.x": 40.0, "torque.y": -30.0}
+    names = [f"{word}.{axis}" for word in ("force", "torque") for axis in "xyz"]
+    columns = [
+        Column(f"ground_reaction.{n}", np.full(len(time), pushed.get(n, 0.0))) for n in names
+    ]
+    plate = Result({"samples": Table([Column("time", time), *columns])})
+    found = scene.loads(motion, body="foot", wrenches=plate)
+    assert found.metadata["kinds"] == {"ankle": "joint", "ground_reaction": "external wrench"}
+    samples = found["samples"]
+    size = np.linalg.norm(vector(samples, "ground_reaction.force"), axis=1)
+    assert size == pytest.approx(np.hypot(700.0, 40.0))
+    assert samples["balance.off"].max() <= 1e-12
+
+
+def test_a_free_body_a_hundred_metres_away():
+    """The balance loses no digits that count."""
+    robot, rng = mbd.load_scene("prosthetic_leg_roll_over").robot, np.random.default_rng(2)
+    body = FreeBody(robot, "shank")
+    q, (v, a) = robot.neutral(), rng.normal(size=(2, robot.model.nv))
+    q[:3] += [100.0, -70.0, 30.0]
+    body.k.refresh(q, v)
+    place = body.k.position(body._point)
+    push = [Named("push", "force", Wrench("foot", place, *rng.normal(size=(2, 3))))]
+    loads, motion = body.loads(State(0.0, q, v), a, push)
+    assert balance(loads, body.inertia, motion).off <= 1e-12

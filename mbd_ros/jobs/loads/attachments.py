@@ -11,6 +11,7 @@ from mbd_ros.jobs.loads.history import History
 from mbd_ros.jobs.loads.mesh import Mesh, Nodes
 
 COUPLINGS = "rigid", "distributing"
+_NOTHING = 1.0e-9  # of the largest load: less is rounding and needs no nodes
 
 
 class Attachment(NamedTuple):
@@ -48,9 +49,11 @@ def attachments_of(
     for name in given:
         if name not in names:
             raise DataError(f"--attach {name}: no such load; accepted: {', '.join(names)}")
-    found = []
+    largest = max(float(np.abs(each).max(initial=0.0)) for each in (history.force, history.moment))
+    least, found = _NOTHING * largest, []
     for slot, name in enumerate(names):
-        if not (history.force[:, slot].any() or history.moment[:, slot].any()):
+        values = history.force[:, slot], history.moment[:, slot]
+        if max(float(np.abs(each).max(initial=0.0)) for each in values) <= least:
             continue
         reference = history.point[:, slot].mean(axis=0)
         nodes = _nodes(mesh, name, reference, given, radius)

@@ -31,19 +31,19 @@ def feb_lines(body: Body, steps: Sequence[Step]) -> Iterator[str]:
     yield from _materials(body)
     yield from _mesh(body)
     yield from _domains(body)
-    yield "<Boundary>"
-    for one in body.attachments:
-        yield f'<bc name={_q(one)} type="rigid" node_set={_q(one)}><rb>{_rb(one)}</rb></bc>'
-    yield "</Boundary>"
     curves: list[Array] = []
-    yield from _rigid(body, steps, curves)
-    yield from _field(body, curves)
+    rigid, field = list(_rigid(body, steps, curves)), list(_field(body, curves))
     yield "<LoadData>"
     for i, values in enumerate(curves, 1):
         points = "".join(f"<pt>{t},{v:.12g}</pt>" for t, v in enumerate([0.0, *values]))
         yield f'<load_controller id="{i}" type="loadcurve"><interpolate>LINEAR</interpolate>'
         yield f"<extend>CONSTANT</extend><points>{points}</points></load_controller>"
     yield "</LoadData>"
+    yield from (*field, *rigid)
+    yield "<Boundary>"
+    for one in body.attachments:
+        yield f'<bc name={_q(one)} type="rigid" node_set={_q(one)}><rb>{_rb(one)}</rb></bc>'
+    yield "</Boundary>"
     yield '<Output><plotfile type="febio"><var type="displacement"/><var type="stress"/>'
     yield "</plotfile></Output>"
     yield "</febio_spec>"
@@ -58,7 +58,8 @@ def _materials(body: Body) -> Iterator[str]:
     yield f"<E>{young / L**2:.12g}</E><v>{poisson:.12g}</v></material>"
     for i, one in enumerate(body.attachments, 2):
         centre = ",".join(f"{v:.12g}" for v in one.reference * L)
-        yield f'<material id="{i}" name="{_rb(one)}" type="rigid body"><density>0</density>'
+        yield f'<material id="{i}" name="{_rb(one)}" type="rigid body">'
+        yield f"<density>{density:.12g}</density>"
         yield f"<center_of_mass>{centre}</center_of_mass></material>"
     yield "</Material>"
 
@@ -101,14 +102,14 @@ def _domains(body: Body) -> Iterator[str]:
 def _rigid(body: Body, steps: Sequence[Step], curves: list[Array]) -> Iterator[str]:
     yield "<Rigid>"
     dofs = "".join(f"<{d}_dof>1</{d}_dof>" for _, three in _DOFS for d in three)
-    yield f'<rigid_bc name="support" type="rigid_fixed"><rb>{_rb(body.held)}</rb>{dofs}</rigid_bc>'
+    yield f'<rigid_bc type="rigid_fixed"><rb>{_rb(body.held)}</rb>{dofs}</rigid_bc>'
     for i, one in enumerate(body.loaded):
         moments = np.array([step.moments[i] for step in steps]) * body.units.per_metre
         both = np.array([step.forces[i] for step in steps]), moments
         for (kind, three), values in zip(_DOFS, both, strict=True):
             for dof, curve in zip(three, values.T, strict=True):
                 curves.append(curve)
-                yield f'<rigid_load name="{_rb(one)}_{dof}" type="{kind}"><rb>{_rb(one)}</rb>'
+                yield f'<rigid_load type="{kind}"><rb>{_rb(one)}</rb>'
                 yield f'<dof>{dof}</dof><value lc="{len(curves)}">1</value></rigid_load>'
     yield "</Rigid>"
 
@@ -117,7 +118,7 @@ def _field(body: Body, curves: list[Array]) -> Iterator[str]:
     """Gravity less the acceleration of the mass centre of the mesh; FEBio counts it negative."""
     field = centre_field(body)[list(body.rows)]
     yield "<Loads>"
-    yield '<body_load name="gravity and inertia" type="const">'
+    yield '<body_load type="const">'
     for axis, curve in zip("xyz", field.T * body.units.per_metre, strict=True):
         curves.append(-curve)
         yield f'<{axis} lc="{len(curves)}">1</{axis}>'
