@@ -8,7 +8,8 @@ speeds of fibres, at Radau's points of each interval:
     a' = rate(e, a),   l' = v,   tendon(L, l) = (active(a, l, v) + passive(l) + damping(v)) cos
     sum_i B_i F_i + sum_j R_j r_j = tau
 
-Lengths L, speeds and arms B of the paths and the forces tau are numbers: the motion is known. The
+Lengths L and arms B of the paths and the forces tau are numbers, as are the strengths of muscles
+beside rigid tendons, whose tension is affine in the activation: the motion is known. The
 last sum is the price of the excitation before the start, over the time constant of falling
 activation: without it muscles begin with whatever activation is of use.
 
@@ -45,7 +46,8 @@ class _Point(NamedTuple):
     l: Any  # noqa: E741
     v: Any
     length: Any
-    speed: Any
+    strength: Any
+    offset: Any
     columns: Any
     needed: Any
     prices: Any
@@ -142,7 +144,8 @@ class MuscleProgram:
         ends = self._ends(intervals)
         inside = self._first + np.arange(intervals * d * self._each).reshape(intervals, -1)
         places: Places = np.concatenate((ends, inside), axis=1).T.astype(np.intp)
-        known = [trial.length, trial.speed, trial.columns.reshape(len(trial.length), -1)]
+        known = [trial.length, trial.strength, trial.offset]
+        known += [trial.columns.reshape(len(trial.length), -1)]
         known += [trial.needed, trial.prices, trial.stiffness, trial.target]
         every = np.concatenate(known, axis=1)
         points = every[1:].reshape(intervals, -1)
@@ -167,7 +170,7 @@ class MuscleProgram:
     def _known(self) -> list[int]:
         """Sizes of what is known at a point, in the order of `_Point`."""
         n, nv = self._n, self._trial.needed.shape[1]
-        return [n, n, nv * (n + self._r), nv, n, n, n]
+        return [n, n, n, nv * (n + self._r), nv, n, n, n]
 
     def _beginning(self) -> Form:
         """The price of the activations at the start."""
@@ -215,9 +218,10 @@ class MuscleProgram:
         k, tensions, balances = SymbolicKinematics, [], []
         for i, muscle in enumerate(self._muscles):
             law, a = muscle.contraction, Scalar(point.a[i])
-            length, speed = Scalar(point.length[i]), Scalar(point.speed[i])
+            length = Scalar(point.length[i])
             if not muscle.is_elastic:
-                tensions.append(plain(law.rigid_tension(k, a, length, speed)))
+                pull = point.strength[i] * point.a[i] + point.offset[i]
+                tensions.append(ca.fmax(pull, 0.0))
                 continue
             at = self._elastic.index(i)
             lf = Scalar(point.l[at])

@@ -11,7 +11,8 @@ class Trial(NamedTuple):
     Attributes:
         widths: Of the intervals [s], shape (intervals,).
         length: Of the paths [m], shape (points, n).
-        speed: Their rates [m/s], shape (points, n).
+        strength: Change of the tension with the activation beside rigid tendons [N], same shape.
+        offset: Tension there without activation [N], same shape.
         columns: Force of the independent coordinates by a tension of 1 N and by an effort of 1
             of a reserve, shape (points, nv_y, n + r).
         needed: Force that the motion needs of each independent coordinate [N·m or N], shape
@@ -26,7 +27,8 @@ class Trial(NamedTuple):
 
     widths: Array
     length: Array
-    speed: Array
+    strength: Array
+    offset: Array
     columns: Array
     needed: Array
     sizes: Array

@@ -3,13 +3,13 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.estimation.torque_estimator import Observations
 from mbd_ros.core.inverse.muscle_dynamics import MuscleDynamics, muscles_with
+from mbd_ros.core.inverse.muscle_frames import Frames
 from mbd_ros.core.inverse.muscle_trial import Excited, Optimal, Trial
 from mbd_ros.core.inverse.sharing_criteria import sizes_of
 from mbd_ros.core.inverse.static_optimization import Shares, StaticOptimization
@@ -17,14 +17,14 @@ from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
 from mbd_ros.core.muscles.contraction import Contraction, Fiber
 from mbd_ros.core.muscles.muscle import Muscle
-from mbd_ros.core.prediction.collocation import RADAU, Collocation, collocation
+from mbd_ros.core.prediction.collocation import RADAU, collocation
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError, SolveError
+from mbd_ros.jobs.muscles.trial_points import Points, graded
 from mbd_ros.jobs.progress import announce
 
 _ACCURACY, _MOST, _ROUNDS = 1.0e-8, 500, 3
 _BISECTIONS = 30
-_HALVED = 4  # times, at either end: activations change fastest there
 _LEAST_SIZE = 1.0e-3  # of the largest force: what a coordinate that needs hardly anything counts
 _NAMED = 3  # worst places of a trial that cannot be produced
 
@@ -43,63 +43,6 @@ class Shared(NamedTuple):
     excitation: Array
     fiber_length: dict[str, Array]
     remarks: tuple[str, ...]
-
-
-class Points(NamedTuple):
-    """Where a trial is looked at.
-
-    Attributes:
-        knots: Ends of the intervals [s], shape (intervals + 1,).
-        scheme: The collocation on each.
-    """
-
-    knots: Array
-    scheme: Collocation
-
-    @property
-    def times(self) -> Array:
-        """Of the points [s]."""
-        h = np.diff(self.knots)[:, None]
-        found: Array = (self.knots[:-1, None] + h * self.scheme.c).ravel()
-        return found
-
-    @property
-    def whole(self) -> Array:
-        """The start, then the times of the points [s]."""
-        return np.concatenate(([0.0], self.times))
-
-    def states(self, values: Array, t: Array) -> Array:
-        """What is continuous, at some times: polynomials through the points and the end before.
-
-        Args:
-            values: At the start and at the points.
-            t: The times [s].
-        """
-        stacked = self._stacked(values)
-        starts = np.concatenate((values[:1], stacked[:-1, -1]))[:, None]
-        interval, s = self._find(t)
-        whole = np.concatenate((starts, stacked), axis=1)[interval]
-        powers, ends = np.arange(self.scheme.degree + 1), np.concatenate(([0.0], self.scheme.c))
-        weights = s[:, None] ** powers @ np.linalg.inv(ends[:, None] ** powers)
-        return np.einsum("tk,tki->ti", weights, whole)
-
-    def inputs(self, values: Array, t: Array) -> Array:
-        """What jumps from interval to interval, at some times; arguments as `states`."""
-        interval, s = self._find(t)
-        return np.einsum("tk,tki->ti", self.scheme.values(s), self._stacked(values)[interval])
-
-    def split(self, which: NDArray[np.bool_]) -> "Points":
-        """With some intervals cut in two."""
-        middle = 0.5 * (self.knots[:-1] + self.knots[1:])[which]
-        return Points(np.sort(np.concatenate((self.knots, middle))), self.scheme)
-
-    def _stacked(self, values: Array) -> Array:
-        return values[1:].reshape(len(self.knots) - 1, self.scheme.degree, values.shape[1])
-
-    def _find(self, t: Array) -> tuple[Any, Array]:
-        interval = np.clip(np.searchsorted(self.knots, t, "right") - 1, 0, len(self.knots) - 2)
-        h = np.diff(self.knots)[interval]
-        return interval, (t - self.knots[interval]) / h
 
 
 def shared_trial(
@@ -150,14 +93,6 @@ def shared_trial(
         guess = _moved(points, found.excited, finer.whole)
         points = finer
     return _at_samples(solver, muscles, points, found, static, times, float(off.max()))
-
-
-def graded(duration: float, count: int) -> Array:
-    """Ends of equal intervals, of which the first and the last are halved towards the ends."""
-    knots = np.linspace(0.0, duration, count + 1)
-    short = knots[1] * 0.5 ** np.arange(_HALVED, 0, -1)
-    found: Array = np.unique(np.concatenate((knots, short, duration - short)))
-    return found
 
 
 def _guess(muscles: Sequence[Muscle], at: Array, times: Array, static: Shares) -> Excited:
@@ -233,10 +168,24 @@ def _known(
     largest = np.abs(needed).max(axis=0, initial=0.0)
     sizes = np.maximum(largest, _LEAST_SIZE * largest.max(initial=0.0))
     return Trial(
-        *(np.diff(points.knots), frames.length, frames.speed, columns, needed),
+        *(np.diff(points.knots), frames.length, *_rigid(muscles, frames), columns, needed),
         *(np.where(sizes > 0.0, sizes, 1.0), np.array(prices), stiffness, target, least),
         np.array([reserve.limits for reserve in solver.reserves]).reshape(-1, 2).T,
     )
+
+
+def _rigid(muscles: Sequence[Muscle], frames: Frames) -> tuple[Array, Array]:
+    """Tensions beside rigid tendons at full activation less those without, and these [N]."""
+    k, none = ArrayNumbers, np.zeros_like(frames.length)
+    strength, offset = none, none.copy()
+    for i, muscle in enumerate(muscles):
+        law, length, speed = muscle.contraction, frames.length[:, i], frames.speed[:, i]
+        if not muscle.is_elastic:
+            fiber = law.beside_rigid_tendon(k, length, speed)
+            taut = (length - law.slack > law.pennation.reach) * fiber.cosine
+            strength[:, i] = law.active(k, 1.0, fiber) * taut
+            offset[:, i] = (law.passive(k, fiber) + law.damping(fiber)) * taut
+    return strength, offset
 
 
 def _at_samples(
