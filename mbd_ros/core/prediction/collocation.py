@@ -7,7 +7,7 @@ l_k are the polynomials of Lagrange of the points c_k in 0 .. 1.
 Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, sec. IV.5.
 """
 
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 from numpy.polynomial import legendre
@@ -84,7 +84,11 @@ class Collocation:
         return found
 
     def powers(self) -> Array:
-        """Coefficients of the l_k by rising power of s, shape (degree, degree)."""
+        """Coefficients of the l_k by rising power of s, shape (degree, degree); do not write."""
+        return self._powers
+
+    @cached_property
+    def _powers(self) -> Array:
         columns = [
             np.polynomial.Legendre(one, domain=[0.0, 1.0]).convert(kind=np.polynomial.Polynomial)
             for one in self._to_series.T
