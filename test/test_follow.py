@@ -18,6 +18,7 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.plans import read_plan
 from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.jobs.follow.regulator import recorded
 
 
 def motion_of(times, x, u, joints, inputs):
@@ -95,12 +96,9 @@ def test_linear_motion_is_the_slope_of_the_motion_itself(name):
 
     def rates(e, du):
         """Rates of the independent state at a consistent state beside y."""
-        T, W = slopes._tangents(y)
-        q = system.chart.integrate(y.q, T.dot(e[:d]))
-        v = y.v + T.dot(e[d:]) + W.dot(e[:d])
-        a = np.zeros(system.nv)
-        system.accelerator()(y.t, q, v, u + du, a)
-        return np.concatenate([v[at], a[at]])
+        moved, a = slopes.beside(y, e), np.zeros(system.nv)
+        system.accelerator()(moved.t, moved.q, moved.v, u + du, a)
+        return np.concatenate([moved.v[at], a[at]])
 
     h, none = 1e-5, np.zeros(len(u))
     steps = h * np.eye(2 * d)
@@ -200,3 +198,44 @@ def test_a_motion_without_efforts_is_refused():
     bare = Table([column for column in table.columns if column.name != "cart.effort"])
     with pytest.raises(DataError, match="efforts of cart are missing"):
         load_scene("cart_pole").follow(Result({MAIN: bare}))
+
+
+# ---------------------------------------------------------------------- a step that repeats
+
+
+def struck(simulation, plan, x, period):
+    """The state of all joints after the strike that ends a step from x, under the plan."""
+    at = [[joint.name for joint in simulation.system.robot.joints].index(n) for n in plan.joints]
+    y = simulation.start(x)
+    simulation.stepper.take_events()
+    for k in range(round(1.5 * plan.end / period)):
+        x, wanted = simulation.system.expand(y), plan.at(k * period)
+        e = np.concatenate([x.q[at] - wanted.q, x.v[at] - wanted.v])
+        u = np.clip(wanted.u - wanted.gain.dot(e), -100.0, 100.0)
+        y = simulation.advance(y, u, (k + 1) * period)
+        for event in simulation.stepper.take_events():
+            return event.after, at
+    raise AssertionError("no strike")
+
+
+@pytest.mark.soak
+def test_a_hundred_disturbed_steps_of_the_biped_return_to_the_plan():
+    """Events and impacts of the scene, torques held for 1 ms: the next step begins in the tube,
+    and most nearer to the plan than this one did."""
+    scene = load_scene("five_link_biped")
+    step = scene.predict("biped_step")
+    plan = read_plan(scene.follow(step, tube=24))
+    assert plan.level > 0.1
+    motion, rng = recorded(scene, step), np.random.default_rng(4)
+    slopes = IndependentSlopes(scene.phased_system().systems[0], motion.states)
+    simulation = scene.simulation(integrator={"type": "dop853", "tolerance": 1e-8})
+    costs = []
+    for _ in range(100):
+        way = rng.normal(size=10)
+        size = np.sqrt(plan.level * rng.uniform(0.5, 1.0) / way.dot(plan.cost[0]).dot(way))
+        y = slopes.beside(motion.states[0], size * way)
+        x, at = struck(simulation, plan, y, 1e-3)
+        e = np.concatenate([x.q[at] - plan.q[0], x.v[at] - plan.v[0]])
+        costs.append(e.dot(plan.cost[0]).dot(e))
+    assert max(costs) < plan.level
+    assert np.median(costs) < 0.6 * plan.level

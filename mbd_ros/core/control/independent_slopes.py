@@ -52,6 +52,17 @@ class IndependentSlopes:
         B[d:] = slopes.u[self.chosen]
         return A, B
 
+    def beside(self, y: State, e: Array) -> State:
+        """The state with a deviation, consistent to first order.
+
+        Args:
+            y: A consistent state of what is integrated.
+            e: Of the independent coordinates, then of their velocities, shape (2 d,).
+        """
+        (T, W), d = self._tangents(y), len(self.chosen)
+        q = self._system.chart.integrate(y.q, T.dot(e[:d]))
+        return y._replace(q=q, v=y.v + T.dot(e[d:]) + W.dot(e[:d]))
+
     def _choose(self, motion: list[State]) -> NDArray[np.intp]:
         n = self._system.nv
         if not self._has_rows:

@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.control.contract import EffortBox
+from mbd_ros.core.control.independent_slopes import IndependentSlopes
 from mbd_ros.core.control.tracking_plan import TrackingPlan
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.projection.assembly import assemble
@@ -42,7 +42,7 @@ class DisturbedMotion:
         system: What is controlled.
         motion: States of what it integrates at the times of the plan.
         plan: The plan.
-        chosen: Places of its joints among the coordinates.
+        slopes: Its joints among the coordinates, and what they say of the others.
         box: Efforts that inputs can have.
         hold: How long the plan holds its end [s].
     """
@@ -52,12 +52,13 @@ class DisturbedMotion:
         system: System,
         motion: Sequence[State],
         plan: TrackingPlan,
-        chosen: NDArray[np.intp],
+        slopes: IndependentSlopes,
         box: EffortBox,
         hold: float = 0.0,
     ) -> None:
         self._system, self._motion, self._plan = system, motion, plan
-        self._chosen, self._box, self._hold = chosen, box, hold
+        self._slopes, self._chosen, self._box = slopes, slopes.chosen, box
+        self._hold = hold
         self._accelerate, self._rates = system.accelerator(), np.zeros((4, system.nv))
 
     def after(self, i: int, e: Array, limit: float, fastest: float) -> Outcome:
@@ -69,8 +70,9 @@ class DisturbedMotion:
             limit: Cost to go at which the motion is given up.
             fastest: Rate of the loop that steps resolve [1/s].
         """
+        y = self._slopes.beside(self._motion[i], e)
         try:
-            y = self._beside(i, e)
+            y = assemble(self._system, y) if self._system.held.rows else y
         except SolveError:
             return Outcome(math.inf, math.inf)
         end = self._plan.end + self._hold
@@ -83,14 +85,6 @@ class DisturbedMotion:
                 return Outcome(math.inf, math.inf)
             y = self._stepped(y, u, h)
         return Outcome(largest, cost)
-
-    def _beside(self, i: int, e: Array) -> State:
-        y, d = self._motion[i], len(self._chosen)
-        dq, v = np.zeros(self._system.nv), y.v.copy()
-        dq[self._chosen] = e[:d]
-        v[self._chosen] += e[d:]
-        moved = y._replace(q=self._system.chart.integrate(y.q, dq), v=v)
-        return assemble(self._system, moved) if self._system.held.rows else moved
 
     def _answer(self, y: State) -> tuple[float, Array]:
         """Cost to go, and the efforts."""

@@ -13,6 +13,7 @@ from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.recordings import Source, read_motion
+from mbd_ros.jobs.follow.repeated import repeating_cost, strike_slope
 from mbd_ros.scene.built_scene import Scene
 
 _STILL = 1.0e-3  # velocity of a plan that ends at rest, over its largest
@@ -67,10 +68,10 @@ def check_scene(scene: Scene) -> None:
     Raises:
         DataError: Names what is in the way.
     """
-    if scene.robot.floating or scene.internals.names or scene.phases:
+    if scene.robot.floating or scene.internals.names or len(scene.phases or ()) > 1:
         raise DataError(
-            f"{scene.name}: a plan leads joints with fixed bases, without internal states and "
-            "phases"
+            f"{scene.name}: a plan leads joints with fixed bases, without internal states, and "
+            "through one phase"
         )
     others = [one.name for one in scene.actuators if one.takes]
     if others or not scene.actuators:
@@ -79,9 +80,11 @@ def check_scene(scene: Scene) -> None:
 
 
 def _system(scene: Scene) -> Any:
-    """With exact derivatives where these can be compiled."""
+    """With exact derivatives where these can be compiled; that of its phase, where it has one."""
     from mbd_ros.scene.compiled_system import compiled_system
 
+    if scene.phases:
+        return scene.phased_system().systems[0]
     try:
         return compiled_system(scene)
     except ModelError:
@@ -122,7 +125,7 @@ def regulated(scene: Scene, motion: Recorded, tolerated: Tolerated) -> Regulated
         SolveError: The motion changes too fast.
     """
     system = _system(scene)
-    (times, states, u), can_hold = _held(system, motion)
+    (times, states, u), can_hold = (motion, False) if scene.phases else _held(system, motion)
     slopes = IndependentSlopes(system, states)
     pairs = [slopes.at(y, one) for y, one in zip(states, u, strict=True)]
     A, B = (np.stack(list(each)) for each in zip(*pairs, strict=True))
@@ -130,14 +133,17 @@ def regulated(scene: Scene, motion: Recorded, tolerated: Tolerated) -> Regulated
     Q, R = _costs(len(slopes.chosen), u, limits, tolerated)
     steady = riccati_steady(A[-1], B[-1], Q, R)
     duration = float(times[-1] - times[0])
-    S = riccati_backwards(times, A, B, Q, R, Q * duration if steady is None else steady)
+    if scene.phases:
+        S = repeating_cost(times, A, B, Q, R, strike_slope(scene, times, states, u, slopes))
+    else:
+        S = riccati_backwards(times, A, B, Q, R, Q * duration if steady is None else steady)
     gain = np.linalg.solve(R, np.swapaxes(B, 1, 2) @ S)
     names, chosen = _names(scene), slopes.chosen
     q, v = (np.stack([getattr(y, field)[chosen] for y in states]) for field in "qv")
     joints = tuple(names[i] for i in chosen)
     plan = TrackingPlan(joints, tuple(scene.actuated), times, q, v, u, gain, S)
     rests = steady is not None and can_hold
-    given = system, states, plan, chosen, EffortBox(-limits, limits), duration * rests
+    given = system, states, plan, slopes, EffortBox(-limits, limits), duration * rests
     fastest = float(np.abs(np.linalg.eigvals(A - B @ gain)).max())
     widest = _WIDEST**2 * _unit_level(S, np.diag(Q))
     return Regulated(plan, DisturbedMotion(*given), rests, fastest, widest)
