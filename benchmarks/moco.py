@@ -11,6 +11,7 @@ import math
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import mbd_ros
@@ -62,7 +63,7 @@ def main() -> int:
     return 0
 
 
-def ours(make, tolerance: float) -> tuple[float, float, float]:
+def ours(make: Callable[[], tuple], tolerance: float) -> tuple[float, float, float]:
     """Least CPU seconds of three runs, error and cost."""
     spent = []
     for _ in range(3):
