@@ -185,6 +185,11 @@ def versioned(data):
     return resigned(data, lambda model: None, (b'{"version": 1,', b'{"version": 9,'))
 
 
+def other_numbers(data):
+    """Words in the place of numbers, in a file that is whole."""
+    return resigned(data, lambda model: None, (b'"gravity": [0.0,', b'"gravity": ["x",'))
+
+
 def foreign_operator(data):
     """A file that is whole, with an operator that no ONNX has."""
 
@@ -203,6 +208,7 @@ def foreign_operator(data):
         (lambda data: b"", "no file of mbd-ros learn"),
         (versioned, "version 9 .* accepted: 1"),
         (foreign_operator, "the network cannot be asked"),
+        (other_numbers, "does not say what it belongs to"),
     ],
 )
 def test_a_file_that_is_none_is_refused_by_name(folder, tmp_path, change, message):

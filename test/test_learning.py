@@ -81,8 +81,8 @@ def written(folder, trials):
     return paths
 
 
-def learned(out, *words):
-    said = ["learn", LEG, *words, "--physics", "given", "--learned", "1", "-o", str(out)]
+def learned(out, *words, scene=LEG):
+    said = ["learn", str(scene), *words, "--physics", "given", "--learned", "1", "-o", str(out)]
     assert main([*said, "--variant", "structured", "--members", "2"]) == 0
     return out
 
@@ -100,7 +100,7 @@ def test_friction_and_a_payload_are_learned_and_adapted_from_a_trial(tmp_path):
     (plain / "robot.urdf").write_bytes((model / "robot.urdf").read_bytes())
     assert error(model, test) < 0.3 * error(plain, test)
     words = ("--start", str(model), "--freeze", "all-but", "adapters", "--steps", "20")
-    adapted = learned(tmp_path / "adapted", *run, *words)
+    adapted = learned(tmp_path / "adapted", *run, *words, scene=model / "scene.yaml")
     before, after = read_folder(model), read_folder(adapted)
     ranks = [np.linalg.matrix_rank(a - b, tol=1e-9) for a, b in
              zip(before.weights["W2"], after.weights["W2"], strict=True)]  # fmt: skip
@@ -157,6 +157,6 @@ def test_adapters_beat_all_weights_and_nothing_from_few_trials(tmp_path):
 def test_a_model_of_other_joints_is_not_adapted(tmp_path):
     leg, random = mbd.load_scene(LEG), np.random.default_rng(0)
     found = leg.learn(stride(random, WALK), physics="given", learned=1.0, members=2, steps=2)
-    other = found.model._replace(about=found.model.about._replace(joints=("a", "b", "c")))
-    with pytest.raises(DataError, match="the model has joints a, b, c"):
+    other = found.model._replace(about=found.model.about._replace(joints=("knee", "ankle")))
+    with pytest.raises(DataError, match="the model has joints knee, ankle"):
         leg.learn(stride(random, RUN), physics="given", learned=1.0, start=other)

@@ -111,12 +111,13 @@ def _read(name: str, found: dict[str, Any]) -> About:
         made = About(**found)
         low, high = (np.array(one, dtype=np.float64) for one in (made.low, made.high))
         joints = tuple(map(str, made.joints))
-    except (TypeError, ValueError) as error:
+        robot = {str(k): [float(x) for x in values] for k, values in made.robot.items()}
+    except (TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{name} does not say what it belongs to: {error}") from error
     is_whole = low.shape == high.shape == (2 * len(joints),) and np.isfinite([low, high]).all()
-    if not (is_whole and (low < high).all() and isinstance(made.robot, dict)):
+    if not (is_whole and (low < high).all()):
         raise ModelError(f"{name}: its range is none")
-    return made._replace(low=low, high=high, joints=joints)
+    return made._replace(low=low, high=high, joints=joints, robot=robot)
 
 
 def _place() -> bytes:

@@ -33,7 +33,7 @@ from mbd_ros.jobs.learn.fitting import (
     said_by,
     trusted,
 )
-from mbd_ros.jobs.learn.job import prediction
+from mbd_ros.jobs.learn.job import prediction, without_model
 from mbd_ros.jobs.learn.recordings import Recordings, first_seconds, share_of, thinned
 from mbd_ros.jobs.learn.scales import Samples, Scales
 from mbd_ros.jobs.learn.task import Task
@@ -76,6 +76,7 @@ def compare(scene: Scene, task: Task, seeds: Sequence[int], say: Say) -> Compari
     task.check()
     if len(task.motions) != 1 or task.learned >= 1.0:
         raise DataError("--compare takes one recording, and --learned less than 1")
+    scene = without_model(scene)
     recordings = Recordings(scene, task, lambda line: None)
     first, rest = split(recordings.every[0], task.learned)
     assert rest is not None

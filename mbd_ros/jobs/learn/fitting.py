@@ -3,7 +3,7 @@
 Each member of the ensemble leaves a block of time out. What members say of their blocks, put
 together, is a prediction of all samples that none of them was fitted to. A joint gets the share
 of its torque that explains most there; and none where that does not explain something in nearly
-all blocks (one-sided t test, 5 %).
+all blocks (one-sided t test, 1 %, since there are several joints).
 
 Source: D. Wolpert, Neural Networks 5, 1992, 241 (predictions of left-out parts as a measure).
 """
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbd_ros.core.learned.model_file import About, numbers_of
+from mbd_ros.core.learned.model_file import About, check_robot, numbers_of
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
 from mbd_ros.jobs.learn.recordings import thinned
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 MOST = 500  # samples that are learned from
 _LEAST = 0.1  # of the square of what is left: a smaller gain is not worth a network
-_STUDENT = {2: 6.31, 3: 2.92, 4: 2.35, 5: 2.13}  # one-sided 5 % points, by number of blocks
-_NORMAL = 1.9  # of more blocks
+_STUDENT = {2: 31.8, 3: 6.96, 4: 4.54, 5: 3.75}  # one-sided 1 % points, by number of blocks
+_NORMAL = 3.4  # of more blocks
 _RANK, _HOLD = 2, 1.0e-3  # of adapters: matrices, penalty
 _AROUND = 0.5  # of the scales: how far states without a measurement lie from measured ones
 INFORMED = 0.3  # weight of the equations of motion beside the data
@@ -56,7 +56,7 @@ def fit(
     left = few.effort - few.physics
     start = task.start
     if start is not None:
-        _check_start(start, joints)
+        _check_start(start, joints, scene)
     scales = Scales.of(few, left) if start is None else start.scales
     kind = "structured" if task.variant == "structured" else "free"
     kind = kind if start is None else start.about.kind
@@ -166,24 +166,24 @@ def trusted(unseen: Array, wanted: Array, blocks: int, together: bool) -> Array:
         blocks: Pieces of time that were left out, one after another.
         together: One share for all joints.
     """
-    u, y = unseen, wanted
-    own = np.sum(u * u, axis=0), np.sum(u * y, axis=0)
-    if together:
-        own = (np.full(u.shape[1], one.sum()) for one in own)  # type: ignore[assignment]
-    square, product = own
-    share = np.clip(product / np.maximum(square, 1e-300), 0.0, 1.0)
-    gain = np.square(y) - np.square(y - share * u)
-    if together:
-        gain = np.repeat(gain.mean(axis=1)[:, None], u.shape[1], axis=1)
-    block = blocks_of(len(u), blocks)
-    means = np.array([gain[block == i].mean(axis=0) for i in range(blocks)])
-    error = means.std(axis=0, ddof=1) / np.sqrt(blocks)
-    is_sure = means.mean(axis=0) > _STUDENT.get(blocks, _NORMAL) * error
-    is_worth = means.mean(axis=0) > _LEAST * np.mean(np.square(y), axis=0)
-    return np.where(is_sure & is_worth, share, 0.0)
+    u, y, block = unseen, wanted, blocks_of(len(unseen), blocks)
+
+    def sums(values: Array) -> Array:
+        of = np.array([values[block == i].sum(axis=0) for i in range(blocks)])
+        return np.repeat(of.sum(axis=1)[:, None], u.shape[1], axis=1) if together else of
+
+    share = np.clip(sums(u * y).sum(axis=0) / np.maximum(sums(u * u).sum(axis=0), 1e-300), 0, 1)
+    before, after = sums(np.square(y)), sums(np.square(y - share * u))
+    gain = 1.0 - after / np.maximum(before, 1e-300)
+    error = gain.std(axis=0, ddof=1) / np.sqrt(blocks)
+    is_sure = gain.mean(axis=0) > _STUDENT.get(blocks, _NORMAL) * error
+    is_worth = after.sum(axis=0) < (1.0 - _LEAST) * before.sum(axis=0)
+    return np.asarray(np.where(is_sure & is_worth, share, 0.0))
 
 
-def _check_start(start: Learned, joints: tuple[str, ...]) -> None:
+def _check_start(start: Learned, joints: tuple[str, ...], scene: Scene) -> None:
+    """Refuse to go on with a model of another robot."""
+    check_robot("--start", start.about, scene.robot)
     if start.about.joints != joints:
         raise DataError(
             f"--start: the model has joints {', '.join(start.about.joints)}, the recording has "

@@ -63,6 +63,7 @@ def run_learn(scene: Scene, task: Task, say: Say) -> Outcome:
     if task.freeze == FREEZE[1] and task.start is None:
         raise DataError(f"--freeze {FREEZE[1]}: needs the model that is adapted, --start DIR")
     require_torch()
+    scene = without_model(scene)
     recordings = Recordings(scene, task, say)
     parts = [split(one, task.learned) for one in recordings.every]
     stands_on = physics_of(scene, task, say)
@@ -82,6 +83,13 @@ def run_learn(scene: Scene, task: Task, say: Say) -> Outcome:
         )
     content = onnx_of(model.about, model.weights, model.scales, model.trust)
     return Outcome(model, content, stands_on, {"validation": table}, errors, [])
+
+
+def without_model(scene: Scene) -> Scene:
+    """The scene without a model that was learned before."""
+    given = scene.entries.get("forces") or []
+    kept = [entry for entry in given if entry.get("type") != "learned_torque"]
+    return scene if len(kept) == len(given) else scene.with_(forces=kept)
 
 
 def physics_of(scene: Scene, task: Task, say: Say) -> Scene:
