@@ -22,7 +22,7 @@ from mbd_ros.jobs.identify.problem import Problem, regressor_of
 from mbd_ros.jobs.identify.samples import Piece
 from mbd_ros.scene.built_scene import Scene
 
-_MOST = 200_000  # samples of a recording that are compared
+_MOST = 20_000  # samples of a piece that are compared, evenly taken
 _ENOUGH = 10_000  # samples that tell a feedback
 _OUTLIER = 4.5  # times the median size: such samples, as at a start, tell no feedback
 _ROUNDING = 1.0e-9  # of the largest velocity: no noise
