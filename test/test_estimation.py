@@ -15,7 +15,7 @@ from mbd_ros.errors import DataError, SceneError
 from mbd_ros.estimators.extended_kalman import ExtendedKalman
 from mbd_ros.estimators.moving_horizon import MovingHorizon
 from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.jobs.estimate.estimation import estimation_of
+from mbd_ros.jobs.estimate.estimation import estimation_of, made_ready
 from mbd_ros.scene.estimate_task import EstimateTask
 
 STEP = 0.002
@@ -372,3 +372,29 @@ def test_a_chain_finds_the_optimum_of_the_whole_program():
         acting.append(ours.active)
         assert ours.active == theirs.active
     assert max(acting) > 3
+
+
+def test_estimates_with_a_lag_stand_between_filter_and_smoother():
+    """An effort that nobody knows and that swings at 1 Hz, by encoders at 100 Hz."""
+    scene, rng = load_scene("prosthetic_leg").with_(dt=0.01), np.random.default_rng(14)
+    simulation = made_ready(scene, EstimateTask(disturbance=("knee",)), ("knee",)).simulation()
+    x, rows = scene.initial, []
+    unknown = 5.0 * np.sin(2.0 * np.pi * np.arange(120) * 0.01)
+    y = simulation.start(x._replace(z=np.array([0.0])), None)
+    for k, effort in enumerate(unknown):
+        now = simulation.system.expand(y)
+        rows.append([now.q[scene.robot.joint(n).q] for n in ("hip_flexion", "knee", "ankle")])
+        y = simulation.start(now._replace(z=np.array([effort])), None)
+        y = simulation.advance(y, None, (k + 1) * 0.01)
+    values = np.transpose(rows) + 1e-4 * rng.standard_normal((3, 120))
+    columns = [Column("time", np.arange(120) * 0.01, "s")]
+    pairs = zip(("hip_flexion", "knee", "ankle"), values, strict=True)
+    columns += [Column(f"{name}.position", row, "rad") for name, row in pairs]
+    recording, off = Result({MAIN: Table(columns)}, {}), {}
+    for lag, drifting in ((0.0, False), (0.0, True), (0.03, True), (None, True)):
+        task = {"disturbance": ("knee",), "drifting": drifting, "disturbance_noise": 100.0}
+        found = scene.estimate(recording, lag=lag, **task)[MAIN]
+        error = found["disturbance.knee"] - unknown
+        off[lag, drifting] = float(np.sqrt(np.mean(error[30:90] ** 2)))
+    assert off[0.0, True] > 1.2 * off[0.03, True] > 1.2 * off[None, True]
+    assert off[None, True] < 0.5 < off[0.0, False]

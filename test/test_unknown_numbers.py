@@ -46,7 +46,7 @@ def carrying(scene, link, mass):
 @pytest.mark.parametrize("kind", ["extended_kalman", "moving_horizon"])
 def test_a_payload_is_found_within_two_seconds(kind):
     """1 kg in the hand of the 7-joint arm, by encoders at 500 Hz and the efforts of its drives."""
-    base, samples = load_scene("arm7"), 1000 if kind == "extended_kalman" else 300
+    base, samples = load_scene("arm7"), 1000 if kind == "extended_kalman" else 150
     link = base.robot.model.frames[-1].name
     estimator = {"type": kind} if kind == "extended_kalman" else {"type": kind, "samples": 5}
     task = EstimateTask(estimator, parameters={f"{link}.payload": 1.0}, limits=False)

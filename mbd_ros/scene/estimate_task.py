@@ -23,7 +23,10 @@ class EstimateTask:
             none.
         model_noise: Density of the accelerations that the model leaves out.
         disturbance_noise: Density of the change of unknown efforts, as accelerations that they
-            cause.
+            cause; of the change of their rates, where they drift.
+        drifting: Whether unknown efforts have rates, which are estimated too.
+        lag: How long after a sample measurements still count for its estimate, offline and with
+            the Kalman filter: None for all that follow, 0 for none.
         position_noise: Deviation of positions of joint states without a sensor in the scene.
         velocity_noise: Of their velocities.
         position_deviation: Of positions at the start.
@@ -40,6 +43,8 @@ class EstimateTask:
     disturbance: Sequence[str] | None = ()
     model_noise: Annotated[Positive, Unit("rad/s^2 s^(1/2)")] = 0.1
     disturbance_noise: Annotated[Positive, Unit("rad/s^2 s^(-1/2)")] = 3.0
+    drifting: bool = False
+    lag: Annotated[float | None, Within(0.0, 1.0e9), Unit("s")] = None
     position_noise: Annotated[Positive, Unit("rad or m")] = 1.0e-4
     velocity_noise: Annotated[Positive, Unit("rad/s or m/s")] = 0.01
     position_deviation: Annotated[Positive, Unit("rad or m")] = 0.1

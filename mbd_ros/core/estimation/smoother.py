@@ -53,6 +53,22 @@ def smoothed(process: Process, samples: Sequence[Filtered]) -> list[Belief]:
     return found[::-1]
 
 
+def lagged(process: Process, samples: Sequence[Filtered], lag: float) -> list[Belief]:
+    """Estimates by the measurements until a time after each of them, one a sample.
+
+    Args:
+        process: What was filtered.
+        samples: As for `smoothed`.
+        lag: The time [s].
+    """
+    found, end = list[Belief](), 0
+    for i, sample in enumerate(samples):
+        while end < len(samples) and samples[end].belief.t <= sample.belief.t + lag:
+            end += 1
+        found.append(smoothed(process, samples[i : max(end, i + 1)])[0])
+    return found
+
+
 def _one_back(process: Process, now: Belief, following: Filtered, after: Belief) -> Belief:
     predicted, F = following.predicted, following.F
     assert F is not None

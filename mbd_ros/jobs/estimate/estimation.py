@@ -27,6 +27,7 @@ from mbd_ros.sensors.tachometer import Tachometer
 
 EFFORTS = "efforts"  # name of the loads that measured efforts are
 _UNKNOWN = 10.0  # rad/s^2 or m/s^2, of unknown efforts at the start
+_UNSTEADY = 100.0  # rad/s^3 or m/s^3, of the rates of those that drift
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Estimation:
     @cached_property
     def disturbance(self) -> slice:
         """Where the unknown efforts stand in z, in the order of `disturbed`."""
-        return _disturbance(self.scene).z if self.disturbed else slice(0, 0)
+        return _disturbance(self.scene).efforts if self.disturbed else slice(0, 0)
 
     @cached_property
     def parameters(self) -> dict[str, int]:
@@ -82,6 +83,9 @@ class Estimation:
         z = np.zeros(nz)
         at = [self.scene.robot.joint(name).v for name in self.disturbed]
         z[self.disturbance] = _UNKNOWN * self.scale[at]
+        if self.disturbed and task.drifting:
+            part = _disturbance(self.scene)
+            z[part.efforts.stop : part.z.stop] = _UNSTEADY * self.scale[at]
         z[list(self.parameters.values())] = list(self.deviations.values())
         lower = tangent.lowered(self.process.start)
         P: Array = (lower * np.concatenate((deviation, z)) ** 2).dot(lower.T)
@@ -130,7 +134,7 @@ def made_ready(scene: Scene, task: EstimateTask, disturbed: Sequence[str]) -> Sc
     Raises:
         ModelError: Unknown joint.
     """
-    return _disturbed(_driven(scene, task), disturbed)
+    return _disturbed(_driven(scene, task), disturbed, task.drifting)
 
 
 def effort_scale(system: System, x: State) -> Array:
@@ -152,10 +156,10 @@ def _driven(scene: Scene, task: EstimateTask) -> Scene:
     return scene.holding(actuators=(efforts,))
 
 
-def _disturbed(scene: Scene, joints: Sequence[str]) -> Scene:
+def _disturbed(scene: Scene, joints: Sequence[str], drifting: bool) -> Scene:
     if not joints:
         return scene
-    part = EffortDisturbance(scene.robot, joints)
+    part = EffortDisturbance(scene.robot, joints, drifting=drifting)
     return scene.holding(forces=(*scene.parts.get("forces", ()), part))
 
 
@@ -195,8 +199,10 @@ def _process(
     noise, sizes = np.zeros(internals.nz), np.ones(internals.nz)
     if joints:
         at = [scene.robot.joint(name).v for name in joints]
-        sizes[_disturbance(scene).z] = np.inf
-        noise[_disturbance(scene).z] = task.disturbance_noise * scale[at]
+        part = _disturbance(scene)
+        sizes[part.z] = np.inf
+        driven = slice(part.z.stop - len(joints), part.z.stop)
+        noise[driven] = task.disturbance_noise * scale[at]
     for name, deviation in unknowns.deviations.items():
         sizes[internals.names.index(name)] = deviation
         noise[internals.names.index(name)] = deviation / math.sqrt(task.parameter_time)

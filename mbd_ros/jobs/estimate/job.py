@@ -9,7 +9,7 @@ import numpy as np
 
 from mbd_ros.core.estimation.innovation_watch import InnovationWatch
 from mbd_ros.core.estimation.kalman_filter import KalmanFilter
-from mbd_ros.core.estimation.smoother import Filtered, smoothed
+from mbd_ros.core.estimation.smoother import Filtered, lagged, smoothed
 from mbd_ros.core.estimation.tracker import Tracker
 from mbd_ros.core.state import NANOSECOND, Array, Motion
 from mbd_ros.errors import MbdError, SceneError
@@ -153,7 +153,10 @@ def run_estimate(
     for line in _lines(found):
         say(line)
     if isinstance(estimation.estimator, KalmanFilter):
-        after = smoothed(estimation.process, found.samples)
+        if task.lag is None:
+            after = smoothed(estimation.process, found.samples)
+        else:
+            after = lagged(estimation.process, found.samples, task.lag)
         samples = [
             s._replace(belief=b._replace(innovation=s.belief.innovation))
             for s, b in zip(found.samples, after, strict=True)
