@@ -326,7 +326,7 @@ def test_zero_phase_of_a_real_robot_at_any_rate(data_dir, tmp_path, capsys, rate
 
 
 def compensated(scene, motion, recorded, t, cutoff):
-    """Torques by the causal filter at one cutoff, position and velocity as late as acceleration."""
+    """Torques by the causal filter at a cutoff, all of a motion as late as its acceleration."""
     found = scene.inverse(motion, derivatives="causal", cutoff=cutoff)["samples"]
     a = np.transpose([found[f"{name}.acceleration"] for name in PANDA])
     lag = 2.0 * np.sqrt(np.sqrt(2.0) - 1.0) / (2.0 * np.pi * cutoff)
