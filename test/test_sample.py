@@ -25,11 +25,13 @@ def test_same_bits_on_any_number_of_workers():
     assert alone["samples"] != other["samples"]
 
 
-def test_a_checkpoint_goes_on_with_the_same_bits(tmp_path):
+@pytest.mark.parametrize("method", ["metropolis", "langevin"])
+def test_a_checkpoint_goes_on_with_the_same_bits(method, tmp_path):
     scene, path = mbd.load_scene(TRIMER), tmp_path / "chains.npz"
-    scene.sample(SMALL, workers=1, checkpoint=path)
-    second = scene.sample(SMALL, workers=1, goes_on=path)["samples"]["cosine_A_B_C"]
-    whole = scene.sample({**SMALL, "samples": 40}, workers=1)["samples"]["cosine_A_B_C"]
+    asked = {**SMALL, "method": method}
+    scene.sample(asked, workers=1, checkpoint=path)
+    second = scene.sample(asked, workers=1, goes_on=path)["samples"]["cosine_A_B_C"]
+    whole = scene.sample({**asked, "samples": 40}, workers=1)["samples"]["cosine_A_B_C"]
     assert (whole.reshape(8, 40)[:, 20:] == second.reshape(8, 20)).all()
     with pytest.raises(mbd.MbdError, match="9 coordinates of 4 chains, this run has 9 of 3"):
         scene.sample({**SMALL, "chains": 6}, workers=1, goes_on=path)

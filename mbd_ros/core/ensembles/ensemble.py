@@ -71,9 +71,9 @@ class Ensemble:
         return self.manifold.project(places, v)
 
     def at(self, q: Array, v: Array) -> Walkers:
-        """States of chains; velocities are projected."""
+        """States of chains; velocities are along the rows already."""
         places = self.manifold.at(q)
-        v, whole = self.manifold.project(places, v), np.ones(q.shape[1], dtype=np.bool_)
+        whole = np.ones(q.shape[1], dtype=np.bool_)
         return Walkers(q, v, places, self.force(q, places), whole)
 
     def kick(self, at: Walkers, h: float) -> Walkers:
