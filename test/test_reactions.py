@@ -28,6 +28,7 @@ from mbd_ros.forces.joint_spring import JointSpring
 from mbd_ros.forces.point_spring import PointSpring
 from mbd_ros.forces.prescribed_wrench import PrescribedWrench
 from mbd_ros.scene import schema
+from mbd_ros.scene.learned_entries import with_files
 from mbd_ros.scene.path_entries import with_paths
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.registry import PARTS, resolve
@@ -167,7 +168,7 @@ def test_wrenches_of_a_force_do_the_work_of_its_generalized_force(name):
     """Sum J' w over the bodies, for every registered force that acts on bodies."""
     urdf = (CONFIG / "robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
     robot, part = read_robot(urdf), resolve("forces", name, "here")
-    entry = with_paths(part, part.example, name, robot, {})
+    entry = with_files(part, with_paths(part, part.example, name, robot, {}), name, Path())
     force = schema.call(part, entry, name, robot)
     model, data, rng = robot.model, robot.model.createData(), np.random.default_rng(6)
     x, u = State(0.3, *rng.uniform(-1, 1, (2, model.nv))), rng.normal(size=len(force.inputs))
