@@ -20,6 +20,7 @@ _LONGEST = 5.0e-3  # s
 _HALVINGS = 40
 _LOST = 100.0  # times a level, at which a motion is given up
 _MARGIN = 0.5  # of the level that every disturbance returned from
+_REPEATED_MARGIN = 0.25  # the same of motions that only have to end in the tube
 _HELD = 1.0e-3  # share of the level at which a motion has returned to an end at rest
 
 
@@ -119,7 +120,7 @@ def tube_level(
     seed: int = 0,
     watched: Watched = iter,
 ) -> float:
-    """Half of a cost to go from which random disturbances return, each at a random sample.
+    """A share of a cost to go from which random disturbances return, each at a random sample.
 
     Args:
         disturbed: The motion.
@@ -145,6 +146,6 @@ def tube_level(
             if not found.last <= (_HELD if rests else 1.0) * level:
                 break
         else:
-            return _MARGIN * level
+            return (_MARGIN if rests else _REPEATED_MARGIN) * level
         level *= 0.5
     return 0.0
