@@ -76,6 +76,11 @@ class LiveSharing:
             self.loads, _ = self._joint_loads.solve(x, a, force, reserve, wrenches)
         return Torques(shares.needed[0], self._none, len(shares.needed[0]))
 
+    def doubts(self) -> list[str]:
+        """As `SampleSolver.doubts`."""
+        found: list[str] = self.optimization.known.doubts()
+        return found
+
     def _lacking(self, shares: Shares) -> str:
         lacking = shares.lacking[0]
         most = np.argsort(-np.abs(lacking))
