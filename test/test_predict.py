@@ -87,6 +87,35 @@ def test_a_stop_is_kept_open_between_points():
     assert result["samples"]["slide.position"].max() < 1.0 / 9.0 + 1.0e-7
 
 
+REACH = {  # of the prosthetic arm: limits of five velocities act along arcs
+    "duration": 1.0,
+    "end": {"shoulder_flexion.position": 0.8, "*.velocity": 0.0},
+    "goals": [{"type": "effort", "weight": 1.0}],
+}
+
+
+def test_limits_that_act_along_arcs_are_kept():
+    """The cost is that of 175 intervals, which are four times as many as errors ask for."""
+    found = mbd.load_scene("prosthetic_arm").predict(REACH).metadata
+    assert found["cost"] == pytest.approx(20.96640882, rel=1.0e-8)
+    assert found["iterations"] < 200
+    assert found["passed"] < 1.0e-5
+    assert found["replay"] < 1.0e-7
+
+
+def test_a_bound_that_is_passed_between_nodes_is_named():
+    """By how much, when, and what is accepted; errors alone would be small enough."""
+    task = REACH | {"mesh": {"refinements": 3}}
+    with pytest.raises(NotConvergedError) as caught:
+        mbd.load_scene("prosthetic_arm").predict(task)
+    said, metadata = str(caught.value), caught.value.result.metadata
+    assert metadata["error"] < 1.0e-7 < metadata["passed"]
+    assert re.match(r"\S+\.velocity passes its (upper|lower) bound \S+ by \S+ between nodes", said)
+    assert "at t = 0." in said
+    assert "3e-09 is accepted" in said
+    assert "error between nodes" not in said
+
+
 def test_forces_that_jump_are_refused():
     friction = {"type": "dry_friction", "joint": "slide", "limit": 1.0}
     scene, task, _ = rest_to_rest()

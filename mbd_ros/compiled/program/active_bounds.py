@@ -22,15 +22,21 @@ def status_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
         number: Its number.
         solution: The solution.
     """
-    unknowns, solved = solution.unknowns[number], solution.solved
-    sizes, cost = solution.program.sizes, solution.program.cost_size
-    places = np.hstack([unknowns.points[letter] for letter in "uqvz"])
-    lower, upper = phase.bounds_on(unknowns, len(solved.x))
-    room = np.minimum(solved.x - lower, upper - solved.x) / sizes
-    pull = np.abs(solved.bound_forces) * sizes / cost
-    side = np.where(solved.x - lower < upper - solved.x, -1, 1)
-    found = np.where((pull > room) & (lower < upper), side, 0)[places]
-    return np.hstack((found, _of_rows(solution, number)))
+    places = np.hstack([solution.unknowns[number].points[letter] for letter in "uqvz"])
+    return np.hstack((_of_unknowns(phase, number, solution)[places], _of_rows(solution, number)))
+
+
+def begins_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
+    """At the first node of every interval: q, v and z.
+
+    Args:
+        phase: The phase.
+        number: Its number.
+        solution: The solution.
+    """
+    places = solution.unknowns[number].state[:-1]
+    found: Status = _of_unknowns(phase, number, solution)[places]
+    return found
 
 
 class Active(NamedTuple):
@@ -75,6 +81,18 @@ def path_forces(solution: Solution, number: int) -> Array:
         return np.zeros((len(solution.unknowns[number].points["q"]), 0))
     block, rows = found
     return np.abs(solution.solved.row_forces[rows]).reshape(block.count, block.form.rows)
+
+
+def _of_unknowns(phase: MotionPhase, number: int, solution: Solution) -> Status:
+    """Of all unknowns of a program."""
+    unknowns, solved = solution.unknowns[number], solution.solved
+    sizes, cost = solution.program.sizes, solution.program.cost_size
+    lower, upper = phase.bounds_on(unknowns, len(solved.x))
+    room = np.minimum(solved.x - lower, upper - solved.x) / sizes
+    pull = np.abs(solved.bound_forces) * sizes / cost
+    side = np.where(solved.x - lower < upper - solved.x, -1, 1)
+    found: Status = np.where((pull > room) & (lower < upper), side, 0)
+    return found
 
 
 def _of_rows(solution: Solution, number: int) -> Status:

@@ -17,9 +17,9 @@ STOPPED = "User_Requested_Stop"
 _GOOD = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Feasible_Point_Found")
 _WARM = {
     "mu_strategy": "adaptive",
-    "mu_init": 1.0e-5,
-    "bound_push": 1.0e-7,
-    "bound_frac": 1.0e-7,
+    "mu_init": 1.0e-7,
+    "bound_push": 1.0e-9,
+    "bound_frac": 1.0e-9,
     "bound_mult_init_method": "mu-based",
 }
 Tell = Callable[[int, float, float], bool]  # iteration, cost, violation; whether to stop

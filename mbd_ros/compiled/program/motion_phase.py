@@ -143,6 +143,13 @@ class MotionPhase:
         lower, upper = np.append(ends[0], low), np.append(ends[1], high)
         return np.hstack((found, more)), lower, upper
 
+    def names_held(self) -> list[str]:
+        """Names of the quantities of `held_between`."""
+        sizes = self.equations.sizes
+        counts = {"q": sizes.nq, "v": sizes.nv, "z": sizes.nz}
+        own = [self.quantities.name_of(key, i) for key in counts for i in range(counts[key])]
+        return own + [one.name for one, _ in self.derived_bounds]
+
     def _spans(self, shares: Array) -> Array:
         """Times of places, if the duration is in the middle of its range."""
         low, high = self.problem.duration

@@ -15,8 +15,10 @@ from mbd_ros.core.state import Array
 
 Status = NDArray[np.int_]  # -1 at a lower bound, 1 at an upper one, else 0
 
+_UNKNOWN = 2  # no status: differs from all others
 _MOST = 24  # changes in a phase: more of them are no structure
 _SHORTEST = 1.0e-7  # of a phase
+_WIDEST = 0.7  # of an interval that is to be split: the widest part that is left of it
 _AT_NODE = 0.02  # of an interval: a change so near to a node is at it
 
 
@@ -45,7 +47,7 @@ def changes(mesh: Mesh, status: Status, inputs: Array) -> list[float]:
     return sorted(found) if len(found) <= _MOST else []
 
 
-def bracketed(mesh: Mesh, status: Status, wanted: NDArray[np.bool_]) -> Mesh:
+def bracketed(mesh: Mesh, status: Status, begins: Status, wanted: NDArray[np.bool_]) -> Mesh:
     """The mesh with nodes on both sides of where bounds of states change.
 
     A node that moves to where it costs least would move to where the motion passes its bound
@@ -54,24 +56,36 @@ def bracketed(mesh: Mesh, status: Status, wanted: NDArray[np.bool_]) -> Mesh:
     Args:
         mesh: The intervals.
         status: Of states at every point, shape (m, k).
-        wanted: Which intervals are to be split, shape (n,).
+        begins: Of states at the first node of every interval, shape (n, j), j <= k.
+        wanted: Which intervals are to be split, and for which bounds, shape (n, k).
     """
-    interval, shares = np.repeat(np.arange(mesh.intervals), mesh.degrees), mesh.shares
-    ends = np.flatnonzero(np.diff(status, axis=0).any(axis=1))
+    interval = np.repeat(np.arange(mesh.intervals), mesh.degrees)
+    owner = np.insert(interval, mesh.first_points[:-1], np.arange(mesh.intervals))
+    shares = np.insert(mesh.shares, mesh.first_points[:-1], mesh.knots[:-1])
+    every = np.insert(status, mesh.first_points[:-1], _at_begins(mesh, status, begins), axis=0)
     knots = list(zip(mesh.knots[:-1].tolist(), mesh.degrees.tolist(), strict=True))
-    for i in ends:
-        one, other = int(interval[i]), int(interval[i + 1])
-        for point, own in ((i, one), (i + 1, other)):
-            if wanted[one] or wanted[other]:
-                knots.append((float(shares[point]), int(mesh.degrees[own])))
-    for i in np.flatnonzero(wanted):
-        if not any(mesh.knots[i] < one < mesh.knots[i + 1] for one, _ in knots):
+    ends = np.diff(every, axis=0).astype(np.bool_) & (wanted[owner[:-1]] | wanted[owner[1:]])
+    for i in np.flatnonzero(ends.any(axis=1)):
+        knots += [(float(shares[k]), int(mesh.degrees[owner[k]])) for k in (i, i + 1)]
+    for i in np.flatnonzero(wanted.any(axis=1)):
+        inner = [one for one, _ in knots if mesh.knots[i] <= one <= mesh.knots[i + 1]]
+        if np.diff(sorted([*inner, mesh.knots[i + 1]])).max() > _WIDEST * mesh.widths[i]:
             middle = 0.5 * (mesh.knots[i] + mesh.knots[i + 1])
             knots.append((float(middle), int(mesh.degrees[i])))
     kept = [one for one in sorted(set(knots)) if one[0] <= 1.0 - _SHORTEST]
     kept = kept[:1] + [two for one, two in itertools.pairwise(kept) if two[0] - one[0] > _SHORTEST]
     places = np.array([*(one for one, _ in kept), 1.0])
     return mesh_of(mesh.scheme, [degree for _, degree in kept], np.diff(places))
+
+
+def _at_begins(mesh: Mesh, status: Status, begins: Status) -> Status:
+    """Status at the first nodes; columns that are unknown there change if neighbours differ."""
+    first = mesh.first_points[:-1]
+    after, before = status[first], status[np.maximum(first - 1, 0)]
+    found = np.where(after == before, after, _UNKNOWN)
+    found[0] = after[0]
+    found[:, : begins.shape[1]] = begins
+    return found
 
 
 def with_knots(mesh: Mesh, shares: list[float]) -> Mesh:

@@ -5,12 +5,14 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.jobs.predict.looks import SAVED, accepted_passing
 from mbd_ros.jobs.predict.solving import STOPPED, Found
 from mbd_ros.scene.predict_task import PredictTask
 
 _SHOWN = 5
 _VIOLATED = 1.0e-6  # in usual sizes
 _SPREAD = 1.0e8  # of usual sizes that look odd
+_ACCEPTED = "more refinements or intervals in mesh, or a larger tolerance"
 _WORDS = {
     "Infeasible_Problem_Detected": "the conditions cannot hold together",
     "Maximum_Iterations_Exceeded": "the largest number of iterations was reached",
@@ -30,16 +32,28 @@ def reasons(found: Found, task: PredictTask) -> Iterator[str]:
         yield f"{where}no motion found: it was interrupted between two meshes"
         return
     if solved.is_good:
-        yield (
-            f"{where}error between nodes {found.worst:.2g} is above the tolerance "
-            f"{task.tolerance:g} after {task.mesh.refinements} refinements; accepted: more "
-            "refinements or intervals in mesh, or a larger tolerance"
-        )
+        after = f"after {task.mesh.refinements} refinements"
+        yield f"{where}{'; '.join(_not_fine(found, task))} {after}; accepted: {_ACCEPTED}"
         return
     yield f"{where}no motion found: {_WORDS.get(solved.status, solved.status)}"
     yield from violated(found)
     yield from blocking(found)
     yield from odd_sizes(found)
+
+
+def _not_fine(found: Found, task: PredictTask) -> Iterator[str]:
+    """What is wrong between the nodes of a mesh whose program is solved."""
+    if found.worst > task.tolerance:
+        yield f"error between nodes {found.worst:.2g} is above the tolerance {task.tolerance:g}"
+    if found.passings and (found.worst <= task.tolerance or found.passings[0].severity > 1.0):
+        one = found.passings[0]
+        saved = sum(each.saved for each in found.passings)
+        yield (
+            f"{one.name} passes its {'upper' if one.side > 0 else 'lower'} bound {one.bound:g} "
+            f"by {one.by:.2g} between nodes at t = {one.time:.3g} s: {one.relative:.2g} of its "
+            f"size, where {accepted_passing(task):.2g} is accepted, and passed bounds save "
+            f"{saved:.2g} of the cost, where {SAVED * task.tolerance:.2g} is accepted,"
+        )
 
 
 def violated(found: Found) -> Iterator[str]:

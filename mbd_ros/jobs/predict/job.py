@@ -48,7 +48,8 @@ def predict(
     Returns:
         Table `samples`: the motion, with the columns of a simulation. Table `goals`, a row a goal.
         Table `nodes`, a row a node of the mesh. Metadata: `cost`, `converged`, `error` between
-        nodes, `replay`, the deviation of a simulation, `active`, and `parameters`.
+        nodes, how far bounds are `passed` there, `replay`, the deviation of a simulation,
+        `active`, and `parameters`.
 
     Raises:
         NotConvergedError: No solution was found; says what stands against it. Its `result` is the
@@ -113,6 +114,7 @@ def numbers_of(found: Found, again: Replay) -> dict[str, Any]:
         "cost": solved.cost,
         "duration": [motion.duration for motion in found.solution.motions],
         "error": found.worst,
+        "passed": max((one.relative for one in found.passings), default=0.0),
         "violation": solved.violation,
         "stationarity": solved.stationarity,
         "iterations": found.iterations,
@@ -135,6 +137,9 @@ def solution_lines(found: Found, again: Replay) -> Iterator[str]:
         f"  violation {solved.violation:.1e}, slope of the Lagrangian {solved.stationarity:.1e}, "
         f"both in usual sizes; error between nodes {found.worst:.1e}"
     )
+    if found.passings:
+        one = max(found.passings, key=lambda each: each.relative)
+        yield f"  between nodes {one.name} passes its bound {one.bound:g} by {one.by:.1e}"
     if again.why:
         yield f"  integrated again: {again.why}"
     else:

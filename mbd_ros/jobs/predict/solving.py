@@ -5,14 +5,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.prediction.error_estimate import beyond_bounds, errors_of, looked_at
+from mbd_ros.core.prediction.error_estimate import errors_of
 from mbd_ros.core.prediction.mesh import Mesh
-from mbd_ros.core.prediction.refinement import refined
-from mbd_ros.core.prediction.structure import bracketed, changes, is_settled, with_knots
 from mbd_ros.core.prediction.unknowns import PhaseMotion, steps_of
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.predict.interruption import Interruption, interruptible
+from mbd_ros.jobs.predict.looks import Passing, look_at, next_mesh
 from mbd_ros.jobs.predict.problem import Problem
 from mbd_ros.jobs.progress import PERIOD, announce
 from mbd_ros.scene.predict_task import PredictTask
@@ -20,7 +19,6 @@ from mbd_ros.scene.predict_task import PredictTask
 if TYPE_CHECKING:
     from mbd_ros.compiled.program.motion_program import Solution
 
-_SAVED = 0.03  # of the tolerance: what passing bounds between points may save of the cost
 STOPPED = "User_Requested_Stop"
 
 
@@ -31,9 +29,10 @@ class Found(NamedTuple):
         problem: What was solved.
         solution: Of the last mesh.
         errors: Relative errors between nodes, of each interval of each phase.
-        is_fine: Whether the errors are within the tolerance.
+        is_fine: Whether the errors are within the tolerance, and no bound is passed too far.
         iterations: On all meshes.
         lines: One a mesh, for people.
+        passings: Bounds that are passed between nodes, the worst one first.
         is_interrupted: Whether somebody ended it between two meshes.
     """
 
@@ -43,6 +42,7 @@ class Found(NamedTuple):
     is_fine: bool
     iterations: int
     lines: list[str]
+    passings: tuple[Passing, ...] = ()
     is_interrupted: bool = False
 
     @property
@@ -95,9 +95,11 @@ def _solve(problem: Problem, task: PredictTask, say: Say, interruption: Interrup
         worst = max(float(one.max(initial=0.0)) for one in errors)
         lines.append(mesh_line(round_, solution, worst))
         say(lines[-1])
-        looks = [look_at(problem, i, solution, task.tolerance) for i in range(len(errors))]
+        looks = [look_at(problem, i, solution, task) for i in range(len(errors))]
+        every = [passing for one in looks for passing in one.passings]
+        passings = tuple(sorted(every, key=lambda one: -one.severity))
         is_fine = worst <= task.tolerance and not any(one.passed.any() for one in looks)
-        found = Found(problem, solution, errors, is_fine, total, lines)
+        found = Found(problem, solution, errors, is_fine, total, lines, passings)
         if (is_fine and all(one.is_settled for one in looks)) or not solved.is_good:
             return found
         if interruption.is_asked:
@@ -109,55 +111,6 @@ def _solve(problem: Problem, task: PredictTask, say: Say, interruption: Interrup
         parameters = solution.parameters
         cost_size, is_near = abs(solved.cost) or 1.0, True
     return found
-
-
-class Look(NamedTuple):
-    """What a solution says of the mesh that it wants.
-
-    Attributes:
-        knots: Where bounds of inputs change, as shares of the duration.
-        status: Of bounds of states at the points.
-        passed: Which intervals pass bounds of states between their points.
-        is_settled: Whether every change of inputs is at a node that could move.
-    """
-
-    knots: list[float]
-    status: Any
-    passed: Any
-    is_settled: bool
-
-
-def look_at(problem: Problem, number: int, solution: "Solution", tolerance: float) -> Look:
-    """Look at the bounds of a phase.
-
-    Bounds of states are passed too far where that is more than the tolerance, or where it saves
-    more than a share of it of the cost, by the multipliers of the bounds.
-    """
-    from mbd_ros.compiled.program.active_bounds import path_forces, status_of
-
-    phase, motion = problem.program.phases[number], solution.motions[number]
-    unknowns, solved = solution.unknowns[number], solution.solved
-    status, nu = status_of(phase, number, solution), motion.points["u"].shape[1]
-    knots = changes(motion.mesh, status, motion.points["u"])
-    shares, values = looked_at(motion)
-    off = beyond_bounds(*phase.held_between(unknowns, shares, values, solution.parameters))
-    places = np.hstack([unknowns.points[letter] for letter in "qvz"])
-    sizes = 1.0 + np.abs(solved.x[places]).max(axis=0, initial=0.0)
-    sizes = np.append(sizes, np.ones(off.shape[1] - len(sizes)))
-    pulls = np.hstack((np.abs(solved.bound_forces[places]), path_forces(solution, number)))
-    held = np.add.reduceat(pulls, motion.mesh.first_points[:-1], axis=0)
-    saved = (held * off).sum(axis=1) / (abs(solved.cost) or 1.0)
-    passed = (off / sizes).max(axis=1, initial=0.0) > tolerance
-    if saved.sum() > _SAVED * tolerance:
-        passed |= saved > _SAVED * tolerance / (2.0 * len(saved))
-    return Look(knots, status[:, nu:], passed, is_settled(motion.mesh, knots))
-
-
-def next_mesh(mesh: Mesh, errors: Array, look: Look, tolerance: float) -> Mesh:
-    """A mesh on which errors are smaller."""
-    if look.passed.any():
-        return bracketed(mesh, look.status, look.passed | (errors > tolerance))
-    return with_knots(refined(mesh, errors, tolerance), look.knots)
 
 
 def mesh_line(round_: int, solution: "Solution", worst: float) -> str:
