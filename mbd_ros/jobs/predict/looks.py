@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mbd_ros.compiled.program.motion_program import Solution
 
 SAVED = 0.03  # of the tolerance: what passing bounds between points may save of the cost
-_PART = 0.1  # of what the bound that saves most in an interval saves: less does not matter
+_PART = 0.1  # of what the worst bound of an interval saves: less does not matter
 
 
 class Passing(NamedTuple):
