@@ -118,7 +118,8 @@ def _saving(saved: Array, most: float) -> Any:
     of_each = saved.sum(axis=1, keepdims=True)
     if of_each.sum() <= most:
         return np.zeros(saved.shape, dtype=np.bool_)
-    return (of_each > most / (2.0 * len(saved))) & (saved > _PART * saved.max(axis=1, keepdims=True))
+    matters = saved > _PART * saved.max(axis=1, keepdims=True)
+    return matters & (of_each > most / (2.0 * len(saved)))
 
 
 def _passings(
