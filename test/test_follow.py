@@ -241,7 +241,6 @@ def test_a_hundred_disturbed_steps_of_the_biped_return_to_the_plan():
             continue
         e = np.concatenate([x.q[at] - plan.q[0], x.v[at] - plan.v[0]])
         costs.append(e.dot(plan.cost[0]).dot(e))
-    print(f"{len(costs)} of 100, largest {max(costs) / plan.level:.2f} of the level")
     assert len(costs) >= 95
     assert max(costs) < plan.level
     assert np.median(costs) < 0.6 * plan.level
