@@ -3,12 +3,11 @@
 from pathlib import Path
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.formats import format_of, suffix_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.gait.job import Where, run_gait, task_of
 from mbd_ros.jobs.gait.tables import BASIN, BRANCHES, GAITS
 from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.written import beside, write_tables
 from mbd_ros.scene.built_scene import Scene
 
 _PAGES = (".html", ".htm")
@@ -42,7 +41,7 @@ def gait_to(
         raise DataError(f"{page}: directory {page.parent} does not exist")
     result = run_gait(scene, asked, say, where)
     if out is not None:
-        _write(result, out, say)
+        write_tables(result, out, say)
     if page is not None:
         from mbd_ros.jobs.gait.page import write_page
 
@@ -50,20 +49,3 @@ def gait_to(
             result, page, "" if asked.continuation is None else asked.continuation.parameter
         )
         say(f"page -> {page}")
-
-
-def beside(out: Path, table: str) -> Path:
-    """Where a table goes whose format holds one a file: o.csv.gz -> o.gaits.csv.gz."""
-    suffix = suffix_of(out)
-    return out.with_name(f"{out.name.removesuffix(suffix)}.{table}{suffix}")
-
-
-def _write(result: Result, out: Path, say: Say) -> None:
-    if not format_of(out).one_table:
-        result.to(out)
-        say(f"{', '.join(result)} -> {out}")
-        return
-    for name, table in result.tables.items():
-        place = out if name == MAIN else beside(out, name)
-        Result({MAIN: table}, result.metadata).to(place)
-        say(f"{name}, {table.rows} rows -> {place}")

@@ -201,14 +201,13 @@ def _at_samples(
     lengths = points.states(found.excited.fiber_length, times)
     elastic = [muscle.name for muscle in muscles if muscle.is_elastic]
     fibers = dict(zip(elastic, lengths.T, strict=True))
-    k, frames, n = ArrayNumbers, static.frames, len(muscles)
-    force = np.empty_like(activation)
+    frames, n = static.frames, len(muscles)
+    strength, offset = _rigid(muscles, frames)
+    force = np.maximum(strength * activation + offset, 0.0)
     for i, muscle in enumerate(muscles):
-        law, length, speed = muscle.contraction, frames.length[:, i], frames.speed[:, i]
         if muscle.is_elastic:
-            force[:, i] = law.tendon(k, length, fibers[muscle.name])
-        else:
-            force[:, i] = law.rigid_tension(k, activation[:, i], length, speed)
+            law = muscle.contraction
+            force[:, i] = law.tendon(ArrayNumbers, frames.length[:, i], fibers[muscle.name])
     lacking = static.needed - np.einsum("tji,ti->tj", frames.columns[:, :, :n], force)
     reserve = np.einsum("tij,tj->ti", np.linalg.pinv(frames.columns[:, :, n:]), lacking)
     lacking -= np.einsum("tji,ti->tj", frames.columns[:, :, n:], reserve)

@@ -7,10 +7,10 @@ from typing import Any
 from mbd_ros.errors import SceneError
 from mbd_ros.files.formats import PICTURES, format_of, suffix_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.sample.asked import Asked
 from mbd_ros.jobs.sample.job import Where, run_sample
+from mbd_ros.jobs.written import write_tables
 from mbd_ros.scene.sample_task import sample_task
 from mbd_ros.scene.task_reader import read_task
 
@@ -49,7 +49,7 @@ def sample_to(
     asked = Asked(scene, sample_task({**entries, **changed}, name), name)
     result = run_sample(asked, say, where)
     if out is not None:
-        _write(result, out, say)
+        write_tables(result, out, say)
     if plot is not None:
         from mbd_ros.files.plot import save
         from mbd_ros.jobs.sample.pictures import picture_of
@@ -65,16 +65,3 @@ def _entries_of(scene: Any, task: Path | None) -> dict[str, Any]:
     if "sample" not in entries:
         raise SceneError(f"{task}: has no section sample")
     return dict(entries["sample"])
-
-
-def _write(result: Result, out: Path, say: Say) -> None:
-    if not format_of(out).one_table:
-        result.to(out)
-        say(f"{', '.join(result)} -> {out}")
-        return
-    suffix = suffix_of(out)
-    for name, table in result.tables.items():
-        stem = out.name.removesuffix(suffix)
-        place = out if name == MAIN else out.with_name(f"{stem}.{name}{suffix}")
-        Result({MAIN: table}, result.metadata).to(place)
-        say(f"{name}, {table.rows} rows -> {place}")

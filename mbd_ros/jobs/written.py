@@ -1,0 +1,31 @@
+"""Tables of a result in one file, or side by side where a format holds one a file."""
+
+from pathlib import Path
+
+from mbd_ros.files.formats import format_of, suffix_of
+from mbd_ros.files.table import MAIN, Result
+from mbd_ros.jobs.lines import Say
+
+
+def beside(out: Path, table: str) -> Path:
+    """Where a table goes whose format holds one a file: o.csv.gz -> o.gaits.csv.gz."""
+    suffix = suffix_of(out)
+    return out.with_name(f"{out.name.removesuffix(suffix)}.{table}{suffix}")
+
+
+def write_tables(result: Result, out: Path, say: Say) -> None:
+    """Write all tables, `samples` to the given place.
+
+    Args:
+        result: The tables.
+        out: Its suffix chooses the format.
+        say: Is told what went where, a line a file.
+    """
+    if not format_of(out).one_table:
+        result.to(out)
+        say(f"{', '.join(result)} -> {out}")
+        return
+    for name, table in result.tables.items():
+        place = out if name == MAIN else beside(out, name)
+        Result({MAIN: table}, result.metadata).to(place)
+        say(f"{name}, {table.rows} rows -> {place}")
