@@ -10,6 +10,8 @@ alone changes,
 Without other rows these are w = Z^-1/2 and G = grad xi . H grad xi / |grad xi|^4, as in
 the sources.
 Where rows s are the limit of stiff springs (Fixman), w = det A^(-1/2) and G = tr(A^-1 K).
+Masses are constant here. Those of a mechanism are not: V contains the density that they give to
+configurations then (`weighted_space`).
 
 Sources: E. A. Carter et al., Chem. Phys. Lett. 156, 1989, 472; M. Sprik, G. Ciccotti, J. Chem.
 Phys. 109, 1998, 7737; W. K. den Otter, W. J. Briels, ibid. 109, 1998, 4139.
@@ -58,18 +60,19 @@ class MeanForce(NamedTuple):
     multiplier: Average
 
 
-def instant(held: Ensemble, at: Walkers, *, fixman: bool) -> Instant:
+def instant(held: Ensemble, at: Walkers, gradient: Array, *, fixman: bool) -> Instant:
     """What is averaged, at states of an ensemble of a `HeldSpace`.
 
     Args:
         held: The ensemble, without Fixman's potential: weights take care of it.
         at: Its states.
+        gradient: Of the potential energy there, shape (size, chains).
         fixman: Whether the other rows are the limit of stiff springs.
     """
     (part,), (place,) = held.manifold.parts, at.places
     B = inverse(place.A)
     bending = _bending(held, at)
-    pull = -np.einsum("aib,ib->ab", place.D, held.space.force(at.q))
+    pull = np.einsum("aib,ib->ab", place.D, gradient)
     multiplier = solve(place.A, pull - bending)[-1]
     W = np.einsum("aib,ab->ib", place.D, B[:, -1])
     K = np.einsum("cib,aib->cab", part.turned(at.q, W), place.D)

@@ -21,7 +21,8 @@ from mbd_ros.core.ensembles.ensemble import Ensemble, Walkers
 from mbd_ros.core.ensembles.held_space import HeldSpace
 from mbd_ros.core.ensembles.independent_rows import independent
 from mbd_ros.core.ensembles.mean_force import instant
-from mbd_ros.core.ensembles.observables import Observable
+from mbd_ros.core.ensembles.observables import Observable, coordinate
+from mbd_ros.core.ensembles.weighted_space import WeightedSpace
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.jobs.progress import progress
@@ -78,6 +79,9 @@ class Asked:
         self.coordinate = None
         if task.coordinate is not None:
             self.coordinate = self._coordinate(task.coordinate)
+        self._swept = self.sampled.space  # along the coordinate
+        if not self._swept.has_constant_masses:
+            self._swept = WeightedSpace(self._swept, kT, fixman=task.fixman)
         names = ("method", "chains", "samples", "warmup", "steps", "dt", "friction", "seed")
         plan = {name: getattr(task, name) for name in names}
         if task.steps is None:
@@ -128,17 +132,29 @@ class Asked:
         found = quantity(text, self.sampled, where)
         if text.split()[0] not in DRIVEN and len(text.split()) > 1:
             raise SceneError(f"{where}: '{text}', accepted: {', '.join(DRIVEN)}")
-        if not self.sampled.space.has_constant_masses:
-            raise SceneError(f"{where}: mean forces are those of particles, not of mechanisms")
-        return found
+        if self.sampled.points:
+            return found
+        stops = [part.name for part in self.scene.constraints if not part.law.is_rigid]
+        if stops:
+            raise SceneError(
+                f"{where}: stops push beside the mean force; accepted: a scene without "
+                f"{', '.join(stops)}"
+            )
+        (number,) = found.coordinates
+        return coordinate(found.name, found.unit, number)  # beyond one turn, too
 
     def ensemble(self, level: float | None) -> Ensemble:
         """The ensemble, with the coordinate held where a value is given."""
-        space = self.sampled.space
         if level is None:
-            return Ensemble(space, self.kT, fixman=self.task.fixman)
+            return Ensemble(self.sampled.space, self.kT, fixman=self.task.fixman)
         assert self.coordinate is not None
-        return Ensemble(HeldSpace(space, self.coordinate, level), self.kT)
+        return Ensemble(HeldSpace(self._swept, self.coordinate, level), self.kT)
+
+    def _instant(self, held: Ensemble, at: Walkers) -> Array:
+        space, fixman = self._swept, self.task.fixman
+        if isinstance(space, WeightedSpace):
+            return np.array(instant(held, at, space.gradient(at.q), fixman=False))
+        return np.array(instant(held, at, -space.force(at.q), fixman=fixman))
 
     def done(self, order: Order) -> Sampled:
         """A block of chains.
@@ -158,7 +174,7 @@ class Asked:
 
         def measure(at: Walkers) -> Array:
             if order.level is not None:
-                return np.array(instant(ensemble, at, fixman=self.task.fixman))
+                return self._instant(ensemble, at)
             own = [ensemble.space.potential(at.q), ensemble.kinetic(at.v)]
             if self.task.kinetics:
                 own += [*self.sampled.space.kinetic_parts(at.q, at.v)]

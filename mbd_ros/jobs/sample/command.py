@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--observe", action="append", metavar="'distance A B'", help="a quantity that is kept"
     )
     parser.add_argument(
-        "--coordinate", metavar="'distance A B'", help="quantity or row along which to average"
+        "--coordinate", metavar="Q", help="quantity, row or joint along which to average"
     )
     parser.add_argument("--at", type=float, nargs="+", metavar="N", help="its values")
     parser.add_argument("--checkpoint", type=path_word, help="where chains stand at the end: .npz")
