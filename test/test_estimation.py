@@ -281,6 +281,22 @@ def test_a_late_horizon_gives_way_to_the_filter():
     assert isinstance(prepared("sliding_knee").estimator, ExtendedKalman)
 
 
+@pytest.mark.parametrize("late", ["always", "in turns"])
+def test_a_horizon_without_time_follows_the_motion_as_the_filter_does(late):
+    """Alone, the filter is the extended Kalman filter; windows begin again from what it left."""
+    kinds = {"type": "moving_horizon", "samples": 5}, {"type": "extended_kalman"}
+    horizon, filtered = (prepared("sliding_knee", estimator=k, limits=False) for k in kinds)
+    one, other = tracked(horizon), tracked(filtered)
+    for k, (t, _, values) in enumerate(simulated(horizon, 60, np.random.default_rng(1))):
+        horizon.estimator.is_late = late == "always" or (k // 10) % 2 == 1
+        one.take(t, values, None)
+        other.take(t, values, None)
+        apart = horizon.process.minus(one.belief.x, other.belief.x)
+        deviations = np.sqrt(other.belief.P.diagonal())
+        assert np.abs(apart).max() < 1e-9 or late == "in turns"
+        assert (np.abs(apart) < 0.1 * deviations).all()
+
+
 @pytest.mark.parametrize("wrist", ["known at the start", "locked"])
 def test_two_encoders_of_a_coupled_arm_show_the_torque_of_a_push(wrist):
     """On the elbow, which follows the shoulder by its tendon, and on the abduction beside it.

@@ -135,10 +135,11 @@ class MovingHorizon(Estimator):
 
     def _filtered_alone(self, judged: Update) -> Belief:
         """The belief of a sample for which there is no time to solve the window."""
-        last = self._nodes[-1]
-        self._offsets = np.zeros((len(self._nodes), self.process.n))
-        self._linearize(len(self._nodes) - 1, self.process.plus(last.x, judged.step))
-        return Belief(last.t, last.x, judged.P, judged.innovation, False, "late: filter alone")
+        newest = len(self._nodes) - 1
+        self._offsets = np.zeros((newest + 1, self.process.n))
+        self._linearize(newest, self.process.plus(self._nodes[newest].x, judged.step))
+        t, x = self._nodes[newest].t, self._nodes[newest].x
+        return Belief(t, x, judged.P, judged.innovation, False, "late: filter alone")
 
     def remember(self) -> Any:
         """As `Estimator.remember`."""
