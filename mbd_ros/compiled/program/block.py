@@ -24,8 +24,8 @@ class Form:
     """
 
     def __init__(self, unknowns: Any, data: Any, rows: Any, cost: Any = None) -> None:
-        self._x, self._d, self._g = unknowns, data, ca.densify(ca.SX(rows))
-        self._f = None if cost is None else ca.SX(cost)
+        g, f = ca.cse([ca.densify(ca.SX(rows)), ca.SX(0) if cost is None else ca.SX(cost)])
+        self._x, self._d, self._g, self._f = unknowns, data, g, None if cost is None else f
         self.size, self.rows = int(unknowns.numel()), int(self._g.numel())
         self._lam_f, self._lam_g = ca.SX.sym("s"), ca.SX.sym("l", self.rows)
 
@@ -37,12 +37,12 @@ class Form:
     @cached_property
     def values(self) -> Any:
         """(x, d) -> g."""
-        return self._function("values", [self._x, self._d], [self._g])
+        return ca.Function("values", [self._x, self._d], [self._g])
 
     @cached_property
     def cost(self) -> Any:
         """(x, d) -> f."""
-        return self._function("cost", [self._x, self._d], [ca.densify(self._f)])
+        return ca.Function("cost", [self._x, self._d], [ca.densify(self._f)])
 
     @cached_property
     def jacobian(self) -> tuple[Places, Any]:
@@ -66,11 +66,8 @@ class Form:
     def _entries(self, name: str, matrix: Any, more: Sequence[Any]) -> tuple[Places, Any]:
         rows, columns = matrix.sparsity().get_triplet()
         values = matrix.nz[:] if len(rows) else ca.SX(0, 1)
-        function = self._function(name, [self._x, self._d, *more], [values])
+        function = ca.Function(name, [self._x, self._d, *more], [values])
         return np.array([rows, columns], dtype=np.intp).reshape(2, -1), function
-
-    def _function(self, name: str, given: Sequence[Any], results: Sequence[Any]) -> Any:
-        return ca.Function(name, list(given), ca.cse(list(results)))
 
 
 class Block:

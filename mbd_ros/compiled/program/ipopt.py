@@ -22,7 +22,8 @@ _WARM = {
     "bound_frac": 1.0e-9,
     "bound_mult_init_method": "mu-based",
 }
-Tell = Callable[[int, float, float], bool]  # iteration, cost, violation; whether to stop
+Progress = Callable[[], tuple[float, float]]  # cost and violation
+Tell = Callable[[int, Progress], bool]  # number of the iteration; whether to stop
 
 
 class Solved(NamedTuple):
@@ -77,7 +78,6 @@ def solve(
         tell: Is called after every iteration; stops the solver where it says so.
     """
     functions, at = program.functions(), program.open
-    watch = _Watch(len(at), program.bounds, tell or _silent)
     ipopt: dict[str, Any] = {
         "print_level": 0,
         "sb": "yes",
@@ -91,7 +91,10 @@ def solve(
         **(_WARM if is_near else {}),
     }
     options = {name: functions[name] for name in ("grad_f", "jac_g", "hess_lag")}
-    more = {"print_time": False, "iteration_callback": watch, "calc_multipliers": False}
+    more = {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False}
+    watch = _Watch(program.bounds, tell) if tell is not None else None
+    if watch is not None:
+        more["iteration_callback"] = watch
     solver = ca.nlpsol(
         "predict", "ipopt", functions["program"], {**options, **more, "ipopt": ipopt}
     )
@@ -140,16 +143,12 @@ def _flat(values: Any) -> Array:
     return np.array(ca.DM(values).full(), dtype=np.float64).ravel()
 
 
-def _silent(iteration: int, cost: float, violation: float) -> bool:
-    return False
-
-
 class _Watch(ca.Callback):  # type: ignore[misc]
     """What is called after every iteration."""
 
-    def __init__(self, n: int, bounds: tuple[Array, Array], tell: Tell) -> None:
+    def __init__(self, bounds: tuple[Array, Array], tell: Tell) -> None:
         ca.Callback.__init__(self)
-        self._n, self._m, self._bounds, self._tell = n, len(bounds[0]), bounds, tell
+        self._bounds, self._tell = bounds, tell
         self.iterations = 0
         self.construct("watch", {})
 
@@ -166,12 +165,16 @@ class _Watch(ca.Callback):  # type: ignore[misc]
         return "ret"
 
     def get_sparsity_in(self, i: int) -> Any:
-        name = ca.nlpsol_out(i)
-        size = {"f": 1, "x": self._n, "lam_x": self._n, "g": self._m, "lam_g": self._m}
-        return ca.Sparsity.dense(size[name], 1) if name in size else ca.Sparsity(0, 0)
+        sizes = {"f": 1, "g": len(self._bounds[0])}
+        size = sizes.get(ca.nlpsol_out(i))
+        return ca.Sparsity(0, 0) if size is None else ca.Sparsity.dense(size, 1)
 
     def eval(self, given: Any) -> list[int]:
         self.iterations += 1
-        rows, (lower, upper) = _flat(given[2]), self._bounds
-        off = np.maximum(lower - rows, rows - upper).max(initial=0.0)
-        return [int(self._tell(self.iterations, float(given[1]), float(off)))]
+
+        def progress() -> tuple[float, float]:
+            rows, (lower, upper) = _flat(given[2]), self._bounds
+            off = np.maximum(lower - rows, rows - upper).max(initial=0.0)
+            return float(given[1]), float(off)
+
+        return [int(self._tell(self.iterations, progress))]

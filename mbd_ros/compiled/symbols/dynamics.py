@@ -1,6 +1,6 @@
 """Dynamics of a tree of links in one choice of axes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import cached_property
 from typing import Any
 
@@ -13,6 +13,7 @@ from mbd_ros.compiled.symbols.moving_tree import Placed, in_own_axes, in_world_a
 from mbd_ros.compiled.symbols.tree_forces import joint_forces, needed
 from mbd_ros.compiled.symbols.turns import vector
 
+Place = Callable[[Tree, Sequence[Any]], Sequence[Placed]]
 LONG = 24  # velocities from which an open chain has one form
 
 
@@ -21,12 +22,17 @@ class TreeDynamics:
 
     Args:
         tree: The links.
-        placed: Where they are.
-        v: Velocity, one SX scalar an entry.
+        q: Configuration, one SX scalar an entry.
+        v: Velocity, the same.
+        place: Gives where the links are, in axes of its choice.
     """
 
-    def __init__(self, tree: Tree, placed: Sequence[Placed], v: Sequence[Any]) -> None:
-        self._tree, self._placed, self._v = tree, placed, v
+    def __init__(self, tree: Tree, q: Sequence[Any], v: Sequence[Any], place: Place) -> None:
+        self._tree, self._q, self._v, self._place = tree, q, v, place
+
+    @cached_property
+    def _placed(self) -> Sequence[Placed]:
+        return self._place(self._tree, self._q)
 
     @cached_property
     def mass(self) -> Entries:
@@ -68,9 +74,9 @@ def choices(
         v: Velocity, SX scalars.
         has_rows: Whether rows of frames stand in axes of the world.
     """
-    found = [TreeDynamics(tree, in_own_axes(tree, q), v)]
+    found = [TreeDynamics(tree, q, v, in_own_axes)]
     if all(link.kind != FREE for link in tree.links) and (has_rows or tree.nv <= LONG):
-        found.append(TreeDynamics(tree, in_world_axes(tree, q), v))
+        found.append(TreeDynamics(tree, q, v, in_world_axes))
     return found
 
 

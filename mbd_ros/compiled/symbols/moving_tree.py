@@ -62,15 +62,18 @@ def _about_axis(angle: Any, offset: float) -> PlaneTurn:
     """A turn about z, of sine and cosine of the angle alone where the offset is a right one."""
     c, s = cosine_and_sine(offset)
     if s == 0.0:
-        return PlaneTurn(2, c * ca.cos(angle), c * ca.sin(angle))
+        sign = turns.known(c)
+        return PlaneTurn(2, turns.by(sign, ca.cos(angle)), turns.by(sign, ca.sin(angle)))
     if c == 0.0:
-        return PlaneTurn(2, -s * ca.sin(angle), s * ca.cos(angle))
+        sign = turns.known(s)
+        sine, cosine = turns.by(sign, ca.sin(angle)), turns.by(sign, ca.cos(angle))
+        return PlaneTurn(2, turns.less(ZERO, sine), cosine)
     return PlaneTurn(2, ca.cos(angle + offset), ca.sin(angle + offset))
 
 
 def _constant(axis: int, angle: float) -> Turn:
     c, s = cosine_and_sine(angle)
-    return () if (c, s) == (1.0, 0.0) else (PlaneTurn(axis, ca.SX(c), ca.SX(s)),)
+    return () if (c, s) == (1.0, 0.0) else (PlaneTurn(axis, turns.known(c), turns.known(s)),)
 
 
 def in_own_axes(tree: Tree, q: Any) -> list[Placed]:

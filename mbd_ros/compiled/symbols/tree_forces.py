@@ -18,7 +18,18 @@ from mbd_ros.compiled.symbols import turns
 from mbd_ros.compiled.symbols.inertias import FREE, REVOLUTE
 from mbd_ros.compiled.symbols.links import Tree
 from mbd_ros.compiled.symbols.moving_tree import Placed
-from mbd_ros.compiled.symbols.turns import NO_VECTOR, ZERO, Matrix, Vector, cross, dot, plus
+from mbd_ros.compiled.symbols.turns import (
+    NO_VECTOR,
+    ZERO,
+    Matrix,
+    Vector,
+    by,
+    cross,
+    dot,
+    less,
+    more,
+    plus,
+)
 
 _ROUNDING = 1.0e-15
 _NO_U = turns.matrix(np.zeros((3, 3)))
@@ -86,18 +97,19 @@ def _needed(one: Placed, moved: Any) -> Needed:
     """Force and torque; w x I w is split over U and products of w, which fold where I is plain."""
     w, b, linear, U = moved
     h, about = one.h, one.I
-    force = plus(turns.times(ca.SX(one.link.inertia.m), linear), turns.through(U, h))
+    force = plus(turns.times(turns.known(float(one.link.inertia.m)), linear), turns.through(U, h))
     torque = list(cross(h, linear))
     for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        own, between = about[i][i], about[k][k] - about[j][j]
+        own, between = about[i][i], less(about[k][k], about[j][j])
         if _same(own, between):
-            torque[i] += own * U[k][j]
-        elif _same(own, -between):
-            torque[i] -= own * U[j][k]
+            turned = by(own, U[k][j])
+        elif _same(own, less(ZERO, between)):
+            turned = less(ZERO, by(own, U[j][k]))
         else:
-            torque[i] += own * b[i] + between * (w[j] * w[k])
-        torque[i] += about[i][k] * U[j][i] - about[i][j] * U[k][i]
-        torque[i] += about[j][k] * (w[j] * w[j] - w[k] * w[k])
+            turned = more(by(own, b[i]), by(between, by(w[j], w[k])))
+        products = less(by(about[i][k], U[j][i]), by(about[i][j], U[k][i]))
+        squares = by(about[j][k], less(by(w[j], w[j]), by(w[k], w[k])))
+        torque[i] = more(more(more(torque[i], turned), products), squares)
     return Needed(force, tuple(torque))  # type: ignore[arg-type]
 
 

@@ -1,4 +1,8 @@
-"""Rotations between links, applied by their sines and cosines so that zeros cost nothing."""
+"""Rotations between links, applied by their sines and cosines so that zeros cost nothing.
+
+CasADi drops zeros and ones too, but asking it takes as long as a product that is kept: what is
+`ZERO` or `ONE` itself is not asked.
+"""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -29,13 +33,14 @@ class PlaneTurn(NamedTuple):
     @property
     def back(self) -> "PlaneTurn":
         """The inverse."""
-        return self._replace(s=-self.s)
+        return self._replace(s=less(ZERO, self.s))
 
     def vector(self, v: Vector) -> Vector:
         """R v."""
         k, (i, j) = self.axis, self._plane
         x, y = v[i], v[j]
-        turned = {k: v[k], i: self.c * x - self.s * y, j: self.s * x + self.c * y}
+        c, s = self.c, self.s
+        turned = {k: v[k], i: less(by(c, x), by(s, y)), j: more(by(s, x), by(c, y))}
         return turned[0], turned[1], turned[2]
 
     def tensor(self, A: Matrix) -> Matrix:
@@ -50,13 +55,16 @@ class PlaneTurn(NamedTuple):
         if self.c.is_zero():  # s is 1 or -1
             rows[i][i], rows[j][j], rows[i][j], rows[j][i] = b, a, -g, -f
         else:
-            w = self.c * (a - b) - self.s * (f + g)
-            cw, sw = self.c * w, self.s * w
-            rows[i][i], rows[j][j], rows[i][j], rows[j][i] = b + cw, a - cw, f + sw, g + sw
-        rows[i][k] = self.c * A[i][k] - self.s * A[j][k]
-        rows[j][k] = self.s * A[i][k] + self.c * A[j][k]
-        rows[k][i] = self.c * A[k][i] - self.s * A[k][j]
-        rows[k][j] = self.s * A[k][i] + self.c * A[k][j]
+            w = less(by(self.c, less(a, b)), by(self.s, more(f, g)))
+            cw, sw = by(self.c, w), by(self.s, w)
+            rows[i][i], rows[j][j], rows[i][j], rows[j][i] = (
+                *(more(b, cw), less(a, cw)),
+                *(more(f, sw), more(g, sw)),
+            )
+        rows[i][k] = less(by(self.c, A[i][k]), by(self.s, A[j][k]))
+        rows[j][k] = more(by(self.s, A[i][k]), by(self.c, A[j][k]))
+        rows[k][i] = less(by(self.c, A[k][i]), by(self.s, A[k][j]))
+        rows[k][j] = more(by(self.s, A[k][i]), by(self.c, A[k][j]))
         return _matrix(rows)
 
     def columns(self, R: Matrix) -> Matrix:
@@ -136,31 +144,31 @@ def matrix_tensor(R: Matrix, A: Matrix) -> Matrix:
 
 def dot(a: Vector, b: Vector) -> Any:
     """Dot product of two vectors."""
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    return more(more(by(a[0], b[0]), by(a[1], b[1])), by(a[2], b[2]))
 
 
 def cross(a: Vector, b: Vector) -> Vector:
     """Cross product of two vectors."""
     return (
-        a[1] * b[2] - a[2] * b[1],
-        a[2] * b[0] - a[0] * b[2],
-        a[0] * b[1] - a[1] * b[0],
+        less(by(a[1], b[2]), by(a[2], b[1])),
+        less(by(a[2], b[0]), by(a[0], b[2])),
+        less(by(a[0], b[1]), by(a[1], b[0])),
     )
 
 
 def plus(a: Vector, b: Vector) -> Vector:
     """Sum of two vectors."""
-    return a[0] + b[0], a[1] + b[1], a[2] + b[2]
+    return more(a[0], b[0]), more(a[1], b[1]), more(a[2], b[2])
 
 
 def minus(a: Vector, b: Vector) -> Vector:
     """Difference of two vectors."""
-    return a[0] - b[0], a[1] - b[1], a[2] - b[2]
+    return less(a[0], b[0]), less(a[1], b[1]), less(a[2], b[2])
 
 
 def times(factor: Any, a: Vector) -> Vector:
     """A vector times a number."""
-    return factor * a[0], factor * a[1], factor * a[2]
+    return by(factor, a[0]), by(factor, a[1]), by(factor, a[2])
 
 
 def through(A: Matrix, v: Vector) -> Vector:
@@ -181,18 +189,47 @@ def combined(A: Matrix, B: Matrix, sign: int = 1) -> Matrix:
 
 def bend(w: Vector, b: Vector) -> Matrix:
     """U of an angular velocity and its rate."""
-    xx, yy, zz = w[0] * w[0], w[1] * w[1], w[2] * w[2]
-    xy, xz, yz = w[0] * w[1], w[0] * w[2], w[1] * w[2]
+    xx, yy, zz = by(w[0], w[0]), by(w[1], w[1]), by(w[2], w[2])
+    xy, xz, yz = by(w[0], w[1]), by(w[0], w[2]), by(w[1], w[2])
     return (
-        (-(yy + zz), xy - b[2], xz + b[1]),
-        (xy + b[2], -(xx + zz), yz - b[0]),
-        (xz - b[1], yz + b[0], -(xx + yy)),
+        (less(ZERO, more(yy, zz)), less(xy, b[2]), more(xz, b[1])),
+        (more(xy, b[2]), less(ZERO, more(xx, zz)), less(yz, b[0])),
+        (less(xz, b[1]), more(yz, b[0]), less(ZERO, more(xx, yy))),
     )
+
+
+def by(x: Any, y: Any) -> Any:
+    """Product of two numbers."""
+    if x is ZERO or y is ZERO:
+        return ZERO
+    if x is ONE:
+        return y
+    return x if y is ONE else x * y
+
+
+def more(x: Any, y: Any) -> Any:
+    """Sum of two numbers."""
+    if x is ZERO:
+        return y
+    return x if y is ZERO else x + y
+
+
+def less(x: Any, y: Any) -> Any:
+    """Difference of two numbers."""
+    if y is ZERO:
+        return x
+    return -y if x is ZERO else x - y
+
+
+def known(value: float) -> Any:
+    """A number as a symbol."""
+    found = {0.0: ZERO, 1.0: ONE}.get(value)
+    return ca.SX(value) if found is None else found
 
 
 def vector(values: Any) -> Vector:
     """Three numbers as symbols."""
-    x, y, z = (ca.SX(float(value)) for value in values)
+    x, y, z = (known(float(value)) for value in values)
     return x, y, z
 
 

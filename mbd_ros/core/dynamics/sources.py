@@ -172,9 +172,10 @@ class Polynomials(Source):
         stamps, _ = _table(times, rows.reshape(len(rows), -1), 1)
         _refuse_equal(stamps)
         self._times: list[float] = stamps.tolist()
-        self._coefficients = rows
-        pieces = enumerate(self._times[1:], 1)
-        self._jumps = [t for i, t in pieces if (self._piece(i - 1, t) != self._piece(i, t)).any()]
+        self._coefficients, self._exponents = rows, np.arange(rows.shape[1])
+        last = np.diff(stamps)[:, None] ** self._exponents
+        ends = np.matmul(last[:, None], rows[:-1])[:, 0]
+        self._jumps = stamps[1:][(ends != rows[1:, 0]).any(axis=1)].tolist()
 
     def at(self, t: float) -> Array:
         """Values at a time [s], after a jump there, fresh, shape (n,)."""
@@ -201,10 +202,7 @@ class Polynomials(Source):
         return max(bisect_right(self._times, t) - 1, 0)
 
     def _piece(self, i: int, t: float) -> Array:
-        since, rows = t - self._times[i], self._coefficients[i]
-        value: Array = np.zeros(rows.shape[1])
-        for row in rows[::-1]:
-            value = value * since + row
+        value: Array = (t - self._times[i]) ** self._exponents @ self._coefficients[i]
         return value
 
 

@@ -48,6 +48,7 @@ class Collocation:
         self.scheme, self.degree = scheme, degree
         self.c = _points(scheme, degree)
         self._to_series = np.linalg.inv(legendre.legvander(2.0 * self.c - 1.0, degree - 1))
+        self._to_integrals = legendre.legint(self._to_series, lbnd=-1, scl=0.5, axis=0)
         self.A = self.integrals(self.c)
         self.b = self.integrals(np.ones(1))[0]
 
@@ -77,9 +78,8 @@ class Collocation:
         Args:
             s: Places in 0 .. 1, shape (n,).
         """
-        x = 2.0 * np.asarray(s, dtype=np.float64) - 1.0
-        whole = legendre.legint(np.eye(self.degree), lbnd=-1, scl=0.5, axis=0)
-        found: Array = legendre.legval(x, whole).T @ self._to_series
+        series = legendre.legvander(2.0 * np.asarray(s, dtype=np.float64) - 1.0, self.degree)
+        found: Array = series @ self._to_integrals
         found[np.abs(found) < _DENSE] = 0.0
         return found
 

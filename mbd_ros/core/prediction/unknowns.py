@@ -116,35 +116,43 @@ class PhaseMotion(NamedTuple):
         """
         i, s = self.mesh.find(np.asarray(shares, dtype=np.float64))
         found = {key: np.empty((len(s), self.points[key].shape[1])) for key in ("q", *"vzawul")}
-        first = self.mesh.first_points
-        for k in np.unique(i):
-            rows, scheme = np.flatnonzero(i == k), self.mesh.scheme_of(int(self.mesh.degrees[k]))
-            own = slice(first[k], first[k + 1])
-            h = self.duration * self.mesh.widths[k]
-            values, integrals = scheme.values(s[rows]), h * scheme.integrals(s[rows])
+        degrees, h = self.mesh.degrees[i], self.duration * self.mesh.widths[i]
+        for degree in np.unique(degrees).tolist():
+            rows, scheme = np.flatnonzero(degrees == degree), self.mesh.scheme_of(degree)
+            k, values = i[rows], scheme.values(s[rows])
+            own = self.mesh.first_points[k][:, None] + np.arange(degree)
+            integrals = h[rows, None] * scheme.integrals(s[rows])
             for key in "awul":
-                found[key][rows] = values @ self.points[key][own]
-            found["v"][rows] = self.nodes["v"][k] + integrals @ self.points["a"][own]
-            found["z"][rows] = self.nodes["z"][k] + integrals @ self.points["w"][own]
+                found[key][rows] = _summed(values, self.points[key][own])
+            for key, rate in (("v", "a"), ("z", "w")):
+                moved = _summed(integrals, self.points[rate][own])
+                found[key][rows] = self.nodes[key][k] + moved
             found["q"][rows] = self._configurations(k, own, integrals)
         return found
 
-    def _configurations(self, k: int, own: slice, integrals: Array) -> Array:
-        q, v = self.nodes["q"][k], self.points["v"][own]
+    def _configurations(self, k: Numbers, own: Numbers, integrals: Array) -> Array:
+        """At places of the intervals k with the points own, shape (m, nq)."""
+        q, v = self.nodes["q"][k], self.points["v"]
         if not self.bases:
-            moved: Array = q + integrals @ v
+            moved: Array = q + _summed(integrals, v[own])
             return moved
-        found = np.empty((len(integrals), len(q)))
-        flat_q, flat_v = np.ones(len(q), dtype=bool), np.ones(v.shape[1], dtype=bool)
+        found = np.empty(q.shape)
+        flat_q, flat_v = np.ones(q.shape[1], dtype=bool), np.ones(v.shape[1], dtype=bool)
         for i, (at_q, at_v) in enumerate(self.bases):
             flat_q[at_q : at_q + 7], flat_v[at_v : at_v + 6] = False, False
-            steps = self.points["d"][own, 6 * i : 6 * i + 6]
-            speeds = v[:, at_v : at_v + 6]
-            rates = [BODY.rate(d, one) for d, one in zip(steps, speeds, strict=True)]
-            for row, d in enumerate(integrals @ np.array(rates)):
-                found[row, at_q : at_q + 7] = BODY.integrate(q[at_q : at_q + 7], d)
-        found[:, flat_q] = q[flat_q] + integrals @ v[:, flat_v]
+            steps = self.points["d"][: len(v), 6 * i : 6 * i + 6]
+            pairs = zip(steps, v[:, at_v : at_v + 6], strict=True)
+            rates = np.array([BODY.rate(d, one) for d, one in pairs])
+            for row, d in enumerate(_summed(integrals, rates[own])):
+                found[row, at_q : at_q + 7] = BODY.integrate(q[row, at_q : at_q + 7], d)
+        found[:, flat_q] = q[:, flat_q] + _summed(integrals, v[:, flat_v][own])
         return found
+
+
+def _summed(weights: Array, values: Array) -> Array:
+    """Weights (m, k) times values (m, k, n), shape (m, n)."""
+    found: Array = (weights[:, None] @ values)[:, 0]
+    return found
 
 
 def steps_of(mesh: Mesh, nodes: Array, points: Array, bases: tuple[tuple[int, int], ...]) -> Array:

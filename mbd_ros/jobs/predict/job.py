@@ -85,10 +85,8 @@ def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Resul
     if names:
         driven = driven.with_(dict(zip(names, found.solution.parameters.tolist(), strict=True)))
         modes = modes_of(driven, task)
-    simulation = simulation_of(driven, motions)
-    again = NOT_AGAIN
-    if found.is_converged:
-        again = replay(driven, modes, motions)
+    simulation = simulation_of(driven, motions, found.worst)
+    again = replay(simulation, modes, motions) if found.is_converged else NOT_AGAIN
     for line in solution_lines(found, again):
         say(line)
     tables = {
@@ -143,4 +141,4 @@ def solution_lines(found: Found, again: Replay) -> Iterator[str]:
     if again.why:
         yield f"  integrated again: {again.why}"
     else:
-        yield f"  integrated again with 1e-10: the end is off by {again.deviation:.1e}"
+        yield f"  integrated again: the end is off by {again.deviation:.1e}"

@@ -13,7 +13,8 @@ from mbd_ros.errors import MbdError
 from mbd_ros.jobs.predict.modes import PhaseMode
 from mbd_ros.scene.built_scene import Scene
 
-ACCURATE = {"type": "dop853", "tolerance": 1.0e-10}
+_SHARE = 1.0e-3  # of the error between nodes: what integration may add to it
+_LEAST, _MOST = 1.0e-12, 1.0e-7  # tolerances of integration
 
 
 class Replay(NamedTuple):
@@ -55,17 +56,26 @@ def _pieces(motion: PhaseMotion, most: int) -> tuple[Array, Array]:
     return motion.begin + motion.duration * mesh.knots[:-1], found
 
 
-def simulation_of(scene: Scene, motions: Sequence[PhaseMotion]) -> Simulation:
-    """A simulation of a scene under the inputs of a motion."""
+def simulation_of(scene: Scene, motions: Sequence[PhaseMotion], error: float) -> Simulation:
+    """A simulation of a scene under the inputs of a motion, a thousand times finer than it.
+
+    Args:
+        scene: The scene.
+        motions: Of the phases.
+        error: Between nodes, relative.
+    """
+    tolerance = min(max(_SHARE * error, _LEAST), _MOST)
     solver = {"type": "plain"} if scene.solver.compiles else None
     dt = max(motion.duration for motion in motions)
-    options = {"integrator": ACCURATE, "dt": dt, "solver": solver}
+    accurate = {"type": "dop853", "tolerance": tolerance}
+    options = {"integrator": accurate, "dt": dt, "solver": solver}
     return scene.simulation(sources=sources_of(scene, motions), **options)
 
 
-def replay(scene: Scene, modes: Sequence[PhaseMode], motions: Sequence[PhaseMotion]) -> Replay:
+def replay(
+    whole: Simulation, modes: Sequence[PhaseMode], motions: Sequence[PhaseMotion]
+) -> Replay:
     """Integrate the inputs of a motion, each phase from its beginning to its end."""
-    whole = simulation_of(scene, motions)
     found = [_phase_again(whole, *one) for one in zip(modes, motions, strict=True)]
     why = [one.why for one in found if one.why]
     return Replay(max(one.deviation for one in found), "; ".join(why))

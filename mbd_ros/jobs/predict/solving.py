@@ -17,6 +17,7 @@ from mbd_ros.jobs.progress import PERIOD, announce
 from mbd_ros.scene.predict_task import PredictTask
 
 if TYPE_CHECKING:
+    from mbd_ros.compiled.program.ipopt import Progress
     from mbd_ros.compiled.program.motion_program import Solution
 
 STOPPED = "User_Requested_Stop"
@@ -150,9 +151,10 @@ class _Watcher:
     def __init__(self, round_: int, interruption: Interruption) -> None:
         self._round, self._interruption, self._due = round_, interruption, 0.0
 
-    def __call__(self, iteration: int, cost: float, violation: float) -> bool:
+    def __call__(self, iteration: int, progress: "Progress") -> bool:
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + PERIOD
+            cost, violation = progress()
             announce(
                 f"predict: mesh {self._round + 1}, iteration {iteration}, cost {cost:.6g}, "
                 f"violation {violation:.1e}"
