@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from mbd_ros.jobs.predict.searching import Step
 
 GOALS, NODES, CONTINUATION = "goals", "nodes", "continuation"
-SHOWN = 120  # intervals of the samples of a phase
+SHOWN = 240  # intervals of the samples of a phase
 
 
 def motion_table(
