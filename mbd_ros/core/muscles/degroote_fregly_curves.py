@@ -99,9 +99,9 @@ class DeGrooteFreglyCurves(NamedTuple):
         With w = asinh(d2 speed + d3) this is p w + q sinh(w) = c, which Newton's method solves
         from the far side of a root of a function that bends one way.
         """
-        p = k.maximum(a * self.active(k, length), _WEAKEST) * -_HEIGHT
-        q = self.damping / -_RATE
-        c = a * self.active(k, length) * _LEVEL + self.passive(k, length) - force
+        strength = a * self.active(k, length)
+        p, q = k.maximum(strength, _WEAKEST) * -_HEIGHT, self.damping / -_RATE
+        c = strength * _LEVEL + self.passive(k, length) - force
         c = c - self.damping * _SHIFT / _RATE
         size = k.maximum(c, -c)
         w = k.minimum(size / p, _STEEPEST)

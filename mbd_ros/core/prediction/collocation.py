@@ -48,7 +48,7 @@ class Collocation:
         self.scheme, self.degree = scheme, degree
         self.c = _points(scheme, degree)
         self._to_series = np.linalg.inv(legendre.legvander(2.0 * self.c - 1.0, degree - 1))
-        self._to_integrals = legendre.legint(self._to_series, lbnd=-1, scl=0.5, axis=0)
+        self._to_integrals: Array = legendre.legint(self._to_series, lbnd=-1, scl=0.5, axis=0)
         self.A = self.integrals(self.c)
         self.b = self.integrals(np.ones(1))[0]
 
