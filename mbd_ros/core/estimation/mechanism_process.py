@@ -163,6 +163,15 @@ class MechanismProcess:
         """As `Process.minus`."""
         return self.tangent.minus(x1, x0)
 
+    def at_rest(self, x: State, t: float) -> State:
+        """As `Process.at_rest`."""
+        return x._replace(t=t, v=np.zeros(x.v.shape))
+
+    def unforeseen(self, acceleration: float, dt: float) -> Array:
+        """As `Process.unforeseen`; internal states do not accelerate."""
+        deviations = acceleration * np.array((0.5 * dt * dt, dt, 0.0))
+        return (deviations**2)[self.tangent.levels]
+
     def turned(self, x0: State, x1: State) -> Array | None:
         """As `Process.turned`."""
         return self.tangent.turned(x0, x1)

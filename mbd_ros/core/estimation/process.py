@@ -100,6 +100,12 @@ class Process(Protocol):
     def near(self, x: Any, values: Array, P: Array) -> Any:
         """The state that fits a measurement, on the way from x; P says what goes easily."""
 
+    def at_rest(self, x: Any, t: float) -> Any:
+        """The configuration at another time [s], at rest: nobody knows how it came there."""
+
+    def unforeseen(self, acceleration: float, dt: float) -> Array:
+        """Variance that accelerations nobody foresees bring within a time [s], shape (n,)."""
+
     def turned(self, x0: Any, x1: Any) -> Array | None:
         """From steps at x0 to the same steps at a state beside it, (n, n); None for unity."""
 
@@ -187,6 +193,14 @@ class LinearProcess:
     def near(self, x: Array, values: Array, P: Array) -> Array:
         """As `Process.near`."""
         return x + updated(P, self.C, self.R, values - self.C.dot(x)).step
+
+    def at_rest(self, x: Array, t: float) -> Array:
+        """As `Process.at_rest`."""
+        return x
+
+    def unforeseen(self, acceleration: float, dt: float) -> Array:
+        """As `Process.unforeseen`: nobody says what an acceleration is here."""
+        return np.zeros(self.n)
 
     def turned(self, x0: Array, x1: Array) -> None:
         """As `Process.turned`: the same everywhere."""

@@ -46,6 +46,7 @@ class StateTangent:
     Attributes:
         system: As given.
         n: Size of a step.
+        levels: 0 for its parts d_q, 1 for d_v, 2 for d_z, shape (n,).
         is_whole: Whether there are no rows, so that all steps are allowed.
     """
 
@@ -65,6 +66,8 @@ class StateTangent:
         self.n = 2 * system.nv - sum(self._ranks) + self._nz
         if self.is_whole:
             self.n = 2 * system.nv + self._nz
+        sizes = [system.nv - (0 if self.is_whole else rank) for rank in self._ranks]
+        self.levels = np.repeat((0, 1, 2), (*sizes, self._nz))
 
     def basis(self, y: State) -> Basis:
         """Independent directions at a state, the same whenever it is asked for."""

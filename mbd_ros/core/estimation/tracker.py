@@ -13,6 +13,8 @@ from mbd_ros.core.estimation.sensor_set import SensorSet
 from mbd_ros.core.state import Array
 
 _SAME = 1.0e-9  # s
+_GAP = 5.0  # times the usual interval: more than that between samples is a gap
+_FORGETTING = 0.1  # share that the newest interval has in the usual one
 _DETERMINED = 4.0  # times its noise: what the others say of a number is less certain than that
 
 
@@ -39,6 +41,10 @@ class Tracker:
 
     A sample that is late goes where it belongs, if that is not longer ago than `memory`: the
     estimator goes back there and takes all that came since again.
+
+    What moved the mechanism in a gap between samples is not known. After one that is longer than
+    `patience` velocities are as uncertain as `agility` makes them; after one that is longer than
+    `max_age` they are not predicted, but begin anew.
 
     Args:
         estimator: The estimator; has begun.
@@ -71,6 +77,8 @@ class Tracker:
         self.estimator, self._sensors, self._memory = estimator, sensors, memory
         self.faults = SensorFaults(sensors, gate, agility, patience, max_age)
         self.watch, self.restarts = InnovationWatch(), 0
+        self._patience, self._max_age, self._agility = patience, max_age, agility
+        self._usual = np.inf  # s, between samples
         self._prior: Array = estimator.belief.P
         self._steps = list[_Step]()
         self.faults.forget(estimator.belief.t)
@@ -108,19 +116,19 @@ class Tracker:
         return Taken.PLACED
 
     def _go_back(self, before: Any) -> None:
-        memory, faults = before
+        memory, faults, self._usual = before
         self.estimator.recall(memory)
         self.faults.recall(faults)
 
     def _step(self, t: float, values: Array, u: Array | None) -> None:
         estimator = self.estimator
-        before = estimator.remember(), self.faults.remember()
+        before = estimator.remember(), self.faults.remember(), self._usual
         self._steps.append(_Step(t, self.belief.t, values, u, before))
         while self._steps[0].t < t - self._memory:
             del self._steps[0]
         dt = max(t - self.belief.t, 0.0)
         if dt > _SAME:
-            estimator.predict(u, t)
+            self._go_on(t, values, u, dt)
         seen = estimator.process.observe(self.belief.x, u)
         values = self._sensors.near(values, seen.y)
         known = np.einsum("ij,ij->i", seen.H.dot(self.belief.P), seen.H)
@@ -132,6 +140,22 @@ class Tracker:
         self.watch.add(belief.innovation)
         if (self.faults.refused() & (known > _DETERMINED * noise)).any():
             self._widen(t, values)
+
+    def _go_on(self, t: float, values: Array, u: Array | None, dt: float) -> None:
+        """To the time of the next sample, by what is known of the time until then."""
+        estimator, process = self.estimator, self.estimator.process
+        is_gap = dt > max(self._patience, _GAP * self._usual)
+        if not is_gap:
+            usual = dt if np.isinf(self._usual) else self._usual
+            self._usual = usual + _FORGETTING * (dt - usual)
+        if is_gap and dt > self._max_age:
+            P = self.belief.P + np.diag(process.unforeseen(self._agility, min(dt, self._max_age)))
+            x = process.near(process.at_rest(self.belief.x, t), values, P)
+            estimator.begin(x, P, t)
+            return
+        estimator.predict(u, t)
+        if is_gap:
+            estimator.doubt(process.unforeseen(self._agility, dt))
 
     def _widen(self, t: float, values: Array) -> None:
         """A sensor does not fit for long, and no other one says that it is wrong.
