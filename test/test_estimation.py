@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from mbd_ros import load_scene, scene_from
@@ -295,6 +296,40 @@ def test_a_horizon_without_time_follows_the_motion_as_the_filter_does(late):
         deviations = np.sqrt(other.belief.P.diagonal())
         assert np.abs(apart).max() < 1e-9 or late == "in turns"
         assert (np.abs(apart) < 0.1 * deviations).all()
+
+
+@pytest.mark.parametrize("kind", ["extended_kalman", "moving_horizon"])
+@pytest.mark.parametrize("gap", [0.15, 0.3, 0.6, 5.0])
+def test_an_arm_that_was_not_seen_for_a_while_is_followed_again_at_once(gap, kind):
+    """What the drives did in the gap is not known; two samples later the arm is found again."""
+    found = estimated_arm(kind)
+    tracker, rng, end = tracked(found), np.random.default_rng(5), 0.4 + gap
+    seen = (k * STEP for k in range(round((end + 0.05) / STEP)))
+    for t in (t for t in seen if t < 0.4 or t > end):
+        q, v, tau = swung(found.scene.robot.model, t)
+        tracker.take(t, q + 1e-4 * rng.standard_normal(7), tau)
+        if t > end + 2.5 * STEP:
+            x = tracker.belief.x
+            assert np.abs(x.q - q).max() < 1e-3
+            assert np.abs(x.v - v).max() < 0.3
+    assert tracker.restarts == 0
+
+
+def estimated_arm(kind):
+    """The 7-joint arm with encoders and seven unknown efforts."""
+    task, scene = EstimateTask({"type": kind}, disturbance=None), load_scene("arm7")
+    return estimation_of(scene, task, [joint.name for joint in scene.robot.joints], [])
+
+
+def swung(model, t):
+    """A motion of the arm within its limits, and its torques half a sample earlier."""
+    w = 2.0 * np.pi * np.linspace(0.1, 0.3, 7)
+
+    def at(t):
+        return 0.8 * np.sin(w * t), 0.8 * w * np.cos(w * t), -0.8 * w * w * np.sin(w * t)
+
+    tau = pin.rnea(model, model.createData(), *at(t - 0.5 * STEP))
+    return *at(t)[:2], np.array(tau)
 
 
 @pytest.mark.parametrize("wrist", ["known at the start", "locked"])

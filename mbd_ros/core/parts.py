@@ -44,6 +44,7 @@ class Internal(NamedTuple):
         lower: Smallest value it may have, -inf without.
         upper: Largest one, inf without.
         initial: Value at the start; None for the equilibrium, where the rates are 0: `at_rest`.
+        is_constant: Whether its rate is always 0.
     """
 
     name: str
@@ -51,6 +52,7 @@ class Internal(NamedTuple):
     lower: float = -math.inf
     upper: float = math.inf
     initial: float | None = None
+    is_constant: bool = False
 
 
 class Guard(NamedTuple):

@@ -227,7 +227,7 @@ class ComposedSystem:
 
     def _with_rates(self, write: Accelerator, mode: Mode) -> Accelerator:
         mechanism, inside = self._mechanism, self.internals.inside
-        expand = self.coordinates.expand
+        expand, is_constant = self.coordinates.expand, self.internals.is_constant
 
         def accelerate(
             t: float, q: Array, v: Array, z: Array, u: Array | None, a_out: Array, z_out: Array
@@ -235,7 +235,11 @@ class ComposedSystem:
             before = mechanism.mode, mechanism.z
             mechanism.mode, mechanism.z = mode, inside(z)
             try:
-                z_out[...] = self._rates(expand(State(t, q, v, mechanism.z, mode)), u)
+                z_out[...] = (
+                    0.0
+                    if is_constant
+                    else self._rates(expand(State(t, q, v, mechanism.z, mode)), u)
+                )
                 write(t, q, v, u, a_out)
             finally:
                 mechanism.mode, mechanism.z = before

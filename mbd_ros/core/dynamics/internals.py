@@ -25,6 +25,7 @@ class Internals:
         lower: Smallest values, -inf without, shape (nz,).
         upper: Largest values, inf without, shape (nz,).
         initial: Values at the start, shape (nz,), NaN for the equilibrium.
+        is_constant: Whether all rates are always 0.
         reads: What the rates read of k.
 
     Raises:
@@ -62,6 +63,7 @@ class Internals:
                 )
         given = (one.initial for _, one in every)
         self.initial = np.array([math.nan if v is None else v for v in given], dtype=np.float64)
+        self.is_constant = all(one.is_constant for _, one in every)
         self._is_bounded = bool(np.isfinite([self.lower, self.upper]).any())
 
     def inside(self, z: Array) -> Array:

@@ -27,8 +27,13 @@ class EffortDisturbance(Load):
     def __init__(self, robot: Robot, joints: Sequence[str], *, drifting: bool = False) -> None:
         found = [robot.joint(name) for name in joints]
         self.name, self.joints = "disturbance", tuple(joints)
-        efforts = [Internal(j.name, j.effort_unit, initial=0.0) for j in found]
-        rates = [Internal(f"{j.name}_rate", f"{j.effort_unit}/s", initial=0.0) for j in found]
+        efforts = [
+            Internal(j.name, j.effort_unit, initial=0.0, is_constant=not drifting) for j in found
+        ]
+        rates = [
+            Internal(f"{j.name}_rate", f"{j.effort_unit}/s", initial=0.0, is_constant=True)
+            for j in found
+        ]
         self.internal = (*efforts, *(rates if drifting else ()))
         self.drifting, self._count = drifting, len(found)
         self._v, self._nv = np.array([j.v for j in found], dtype=np.intp), int(robot.model.nv)
@@ -41,8 +46,8 @@ class EffortDisturbance(Load):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force [N·m or N], shape (nv,)."""
-        tau = k.zeros(self._nv)
-        tau[self._v] = x.z[self.z][: self._count]
+        tau, efforts = k.zeros(self._nv), x.z[self.z]
+        tau[self._v] = efforts[: self._count] if self.drifting else efforts
         return tau
 
     def constant_slopes(self, nv: int, nz: int) -> Array | None:

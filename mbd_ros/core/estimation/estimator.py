@@ -93,15 +93,6 @@ class Estimator:
         """
         raise NotImplementedError
 
-    def doubt(self, variance: Array) -> None:
-        """Believe less in what was predicted last.
-
-        Args:
-            variance: What is added to that of the belief, shape (n,).
-        """
-        belief = self.belief
-        self.begin(belief.x, belief.P + np.diag(variance), belief.t)
-
     def remember(self) -> Any:
         """All that later answers depend on, as a value for `recall`."""
         return self.belief

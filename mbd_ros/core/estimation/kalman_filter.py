@@ -2,8 +2,6 @@
 
 from typing import Any
 
-import numpy as np
-
 from mbd_ros.core.estimation.estimator import Belief, Estimator, Measurement
 from mbd_ros.core.estimation.kalman_update import Update, updated
 from mbd_ros.core.estimation.process import Observation, Process, Transition, moved
@@ -54,11 +52,6 @@ class KalmanFilter(Estimator):
         P = moved(process, found.P, prior.x, x)
         self.belief = prior._replace(x=x, P=P, innovation=first)
         return self.belief
-
-    def doubt(self, variance: Array) -> None:
-        """As `Estimator.doubt`; smoothers go on across it."""
-        P = self.belief.P + np.diag(variance)
-        self.belief = self.predicted = self.belief._replace(P=P)
 
     def begin(self, x: Any, P: Array, t: float = 0.0) -> Belief:
         """As `Estimator.begin`."""

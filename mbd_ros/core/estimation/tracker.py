@@ -42,9 +42,9 @@ class Tracker:
     A sample that is late goes where it belongs, if that is not longer ago than `memory`: the
     estimator goes back there and takes all that came since again.
 
-    What moved the mechanism in a gap between samples is not known. After one that is longer than
-    `patience` velocities are as uncertain as `agility` makes them; after one that is longer than
-    `max_age` they are not predicted, but begin anew.
+    What drove the mechanism in a gap between samples is not known. After one that is longer than
+    `patience`, or than `max_age` where no inputs drive it, it is found where it is, at rest but
+    for what `agility` may have done.
 
     Args:
         estimator: The estimator; has begun.
@@ -144,18 +144,16 @@ class Tracker:
     def _go_on(self, t: float, values: Array, u: Array | None, dt: float) -> None:
         """To the time of the next sample, by what is known of the time until then."""
         estimator, process = self.estimator, self.estimator.process
-        is_gap = dt > max(self._patience, _GAP * self._usual)
-        if not is_gap:
+        if dt <= max(self._patience, _GAP * self._usual):
             usual = dt if np.isinf(self._usual) else self._usual
             self._usual = usual + _FORGETTING * (dt - usual)
-        if is_gap and dt > self._max_age:
-            P = self.belief.P + np.diag(process.unforeseen(self._agility, min(dt, self._max_age)))
+        elif dt > self._max_age or (u is not None and u.any()):
+            doubt = process.unforeseen(self._agility, min(dt, self._max_age))
+            P = self.belief.P + np.diag(doubt)
             x = process.near(process.at_rest(self.belief.x, t), values, P)
             estimator.begin(x, P, t)
             return
         estimator.predict(u, t)
-        if is_gap:
-            estimator.doubt(process.unforeseen(self._agility, dt))
 
     def _widen(self, t: float, values: Array) -> None:
         """A sensor does not fit for long, and no other one says that it is wrong.

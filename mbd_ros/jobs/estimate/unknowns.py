@@ -98,7 +98,7 @@ def _add_offset(found: Unknowns, owner: str, deviation: float) -> None:
     names = [f"{OFFSET}_{one}".rstrip("_") for one in sensor.components]
     part = UnknownNumber(
         owner,
-        [Internal(name, units, initial=0.0) for name in names],
+        [Internal(name, units, initial=0.0, is_constant=True) for name in names],
         int(found.scene.robot.model.nv),
     )
     found.hold(part, deviation)
@@ -126,7 +126,9 @@ def _add_mass(found: Unknowns, owner: str, argument: str, deviation: float) -> N
         inertia = pin.Inertia(1.0, link.lever, link.inertia / first)
     unit = np.array(frame.placement.act(inertia).toDynamicParameters())
     part = UnknownNumber(
-        owner, [Internal(argument, "kg", lower, math.inf, first)], int(scene.robot.model.nv)
+        owner,
+        [Internal(argument, "kg", lower, math.inf, first, is_constant=True)],
+        int(scene.robot.model.nv),
     )
     found.hold(part, deviation)
     found.masses.append(UnknownMass(part, int(frame.parentJoint), first, unit))
@@ -144,7 +146,7 @@ def _add_load(
         raise ModelError(_unknown(key, key, [*(f"{name}.<argument>" for name in loads), *names]))
     make, first, bounds = _maker(scene, loads[owner], list(asked))
     internal = [
-        Internal(name, unit, low, high, value)
+        Internal(name, unit, low, high, value, is_constant=True)
         for name, value, (low, high, unit) in zip(asked, first, bounds, strict=True)
     ]
     part = UncertainLoad(loads[owner], make, internal)
