@@ -10,6 +10,7 @@ from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.linearization import Linearization, mode_at
 from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
+from mbd_ros.core.dynamics.mode_accelerators import ModeAccelerators
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
 from mbd_ros.core.optimization.bounded_rows import BoundedRows
@@ -73,7 +74,7 @@ class ComposedSystem:
         if self._given is not None:
             solved[self._given.constraints.slots] = False
         self._solved = np.flatnonzero(solved)
-        self._accelerators: dict[Mode, Accelerator] = {}
+        self._accelerators = ModeAccelerators(motion, bounded, exact, internals, self._rates)
         self._whole: Extended | None = None
         self._free: FreeDerivatives | None = None
         if internals.nz:
@@ -123,9 +124,7 @@ class ComposedSystem:
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
         """The function that writes y'' in a mode, and z' with internal states; made once."""
-        if mode not in self._accelerators:
-            self._accelerators[mode] = self._written_in(mode)
-        return self._accelerators[mode]
+        return self._accelerators.of(mode)
 
     def rates(self, y: State, u: Array | None = None) -> Array:
         """Rates z' of the internal states, shape (nz,)."""
@@ -206,65 +205,3 @@ class ComposedSystem:
         internals, k, loads = self.internals, self._mechanism.k, self.loads
         k.refresh(x.q, x.v, internals.reads)
         return internals.rates(k, x, loads.inputs(x, u))
-
-    def _written_in(self, mode: Mode) -> Accelerator:
-        mechanism, write = self._mechanism, self._without_exact()
-        if self.exact is not None and not self.exact.is_idle(mode):
-            write = self._with_exact(self.exact, mode)
-        if self.internals.nz:
-            return self._with_rates(write, mode)
-        if not mode or self.loads.is_empty:  # nobody reads the mode
-            return write
-
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            mechanism.mode = mode
-            try:
-                write(t, q, v, u, out)
-            finally:
-                mechanism.mode = ()
-
-        return accelerate
-
-    def _with_rates(self, write: Accelerator, mode: Mode) -> Accelerator:
-        mechanism, inside = self._mechanism, self.internals.inside
-        expand, is_constant = self.coordinates.expand, self.internals.is_constant
-
-        def accelerate(
-            t: float, q: Array, v: Array, z: Array, u: Array | None, a_out: Array, z_out: Array
-        ) -> None:
-            before = mechanism.mode, mechanism.z
-            mechanism.mode, mechanism.z = mode, inside(z)
-            try:
-                z_out[...] = (
-                    0.0
-                    if is_constant
-                    else self._rates(expand(State(t, q, v, mechanism.z, mode)), u)
-                )
-                write(t, q, v, u, a_out)
-            finally:
-                mechanism.mode, mechanism.z = before
-
-        return accelerate
-
-    def _with_exact(self, exact: "ExactRows", mode: Mode) -> Accelerator:
-        motion, pushed = self._motion, exact.pushing(mode)
-
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            a = motion.accelerate(t, q, v, u)
-            if pushed is None:
-                out[...] = exact.accelerate(t, q, v, a, mode, splits=False)
-            else:
-                out[...] = pushed(t, q, v, a)
-
-        return accelerate
-
-    def _without_exact(self) -> Accelerator:
-        motion, bounded = self._motion, self.bounded
-        if bounded is None:
-            return motion.accelerator()
-
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            a = motion.accelerate(t, q, v, u)
-            out[...] = bounded.accelerate(motion, t, q, v, a)
-
-        return accelerate
