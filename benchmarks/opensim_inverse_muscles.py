@@ -19,6 +19,8 @@ def main() -> int:
     if dynamics == "activation":
         muscled.append(opensim.ModOpIgnoreTendonCompliance())
     muscled.append(opensim.ModOpReplaceMusclesWithDeGrooteFregly2016())
+    if dynamics == "tendon":
+        muscled.append(opensim.ModOpTendonComplianceDynamicsModeDGF("implicit"))
     muscled.append(opensim.ModOpAddReserves(float(reserves)))
     recorded = opensim.TableProcessor(motion)
     recorded.append(opensim.TabOpLowPassFilter(float(cutoff)))

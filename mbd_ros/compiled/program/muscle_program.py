@@ -16,43 +16,31 @@ activation: without it muscles begin with whatever activation is of use.
 Source: F. De Groote et al., Ann. Biomed. Eng. 44, 2016, 2922-2936, doi:10.1007/s10439-016-1591-9.
 """
 
-from collections.abc import Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any
 
-import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.program.block import Block, Form, Places
+from mbd_ros.compiled.program.block import Block
 from mbd_ros.compiled.program.ipopt import Solved, solve
+from mbd_ros.compiled.program.muscle_forms import (
+    Pull,
+    activation_form,
+    contraction_numbers,
+    fiber_form,
+    force_form,
+    price_form,
+    tendon_form,
+)
+from mbd_ros.compiled.program.muscle_numbers import MuscleNumbers
 from mbd_ros.compiled.program.sparse_program import SparseProgram
-from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
-from mbd_ros.compiled.symbols.scalar import Scalar, plain
 from mbd_ros.core.inverse.muscle_trial import Excited, Optimal, Trial
-from mbd_ros.core.muscles.contraction import Fiber
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.prediction.collocation import Collocation
 from mbd_ros.core.state import Array
 
 _FASTEST, _LONGEST = 3.0, 2.0  # bounds of fibres, per largest speed and per optimal length
 _SHORTEST = 0.05  # per optimal length, where fibres may be as short as they like
-
-
-class _Point(NamedTuple):
-    """Symbols at one point: the unknowns, then what is known."""
-
-    a: Any
-    e: Any
-    r: Any
-    l: Any  # noqa: E741
-    v: Any
-    length: Any
-    strength: Any
-    offset: Any
-    columns: Any
-    needed: Any
-    prices: Any
-    stiffness: Any
-    target: Any
 
 
 class MuscleProgram:
@@ -75,6 +63,9 @@ class MuscleProgram:
         self._each = 2 * self._n + self._r + 2 * self._ne  # unknowns at a point
         self._exponent = exponent
         self._first = self._n + self._ne  # unknowns at the start
+        self._points = len(trial.length) - 1
+        sizes = self._n, self._r, self._ne
+        self._numbers = MuscleNumbers.of(len(trial.widths), scheme.degree, *sizes)
 
     def solve(self, guess: Excited, accuracy: float, most: int, is_near: bool) -> Optimal:
         """The optimum.
@@ -85,8 +76,9 @@ class MuscleProgram:
             most: Iterations.
             is_near: Whether the guess is nearly the optimum.
         """
-        size = self._first + self._each * (len(self._trial.length) - 1)
-        program = SparseProgram(self._blocks(), self._sizes(), np.full(size, np.nan))
+        size = self._first + self._each * self._points
+        cost_size = float(self._trial.widths.sum()) / self._points
+        program = SparseProgram(self._blocks(), self._sizes(), np.full(size, np.nan), cost_size)
         lower, upper = self._bounds()
         points = np.hstack(guess)[1:]
         first = guess.activation[0], guess.fiber_length[0]
@@ -99,11 +91,9 @@ class MuscleProgram:
         a, lengths = np.split(found.x[: self._first], (n,))
         points = found.x[self._first :].reshape(-1, self._each)
         start = np.concatenate((a, a, np.zeros(r), lengths, np.zeros(ne)))
-        every = np.vstack((start, points))
-        parts = np.split(every, np.cumsum([n, n, r, ne]), axis=1)
-        nv, intervals = self._trial.needed.shape[1], len(self._trial.widths)
-        off = np.abs(found.rows / program.row_sizes).reshape(intervals, -1)
-        lacking = off[:, -nv * self._scheme.degree :].reshape(-1, nv)
+        parts = np.split(np.vstack((start, points)), np.cumsum([n, n, r, ne]), axis=1)
+        off, forces = np.abs(found.rows / program.row_sizes), program.slices[-1]
+        lacking = off[forces].reshape(self._points, -1)
         residual = max(found.violation, found.stationarity)
         how = found.cost, found.iterations, found.is_good, found.status, residual
         return Optimal(Excited(*parts), *how, lacking)
@@ -112,9 +102,8 @@ class MuscleProgram:
         """Usual sizes: of fibres their optimal length."""
         lengths = [self._muscles[i].contraction.optimal for i in self._elastic]
         point = np.ones(self._each)
-        point[2 * self._n + self._r : 2 * self._n + self._r + self._ne] = lengths
-        count = len(self._trial.widths) * self._scheme.degree
-        return np.concatenate((np.ones(self._n), lengths, np.tile(point, count)))
+        point[2 * self._n + self._r :][: self._ne] = lengths
+        return np.concatenate((np.ones(self._n), lengths, np.tile(point, self._points)))
 
     def _bounds(self) -> tuple[Array, Array]:
         n, ne, trial = self._n, self._ne, self._trial
@@ -134,112 +123,77 @@ class MuscleProgram:
 
     def _tiled(self, parts: Sequence[Any]) -> Array:
         """One row a point."""
-        return np.tile(np.concatenate(parts), (len(self._trial.length) - 1, 1))
+        return np.tile(np.concatenate(parts), (self._points, 1))
 
     def _blocks(self) -> list[Block]:
-        """The start, and each interval with the end of the one before."""
-        d, trial = self._scheme.degree, self._trial
-        form, start = self._interval(), self._beginning()
-        intervals = len(trial.widths)
-        ends = self._ends(intervals)
-        inside = self._first + np.arange(intervals * d * self._each).reshape(intervals, -1)
-        places: Places = np.concatenate((ends, inside), axis=1).T.astype(np.intp)
-        known = [trial.length, trial.strength, trial.offset]
-        known += [trial.columns.reshape(len(trial.length), -1)]
-        known += [trial.needed, trial.prices, trial.stiffness, trial.target]
-        every = np.concatenate(known, axis=1)
-        points = every[1:].reshape(intervals, -1)
-        data = np.concatenate((trial.widths[:, None], points), axis=1).T
-        sizes = np.ones(form.rows)
-        sizes[form.rows - len(trial.sizes) * d :] = np.tile(trial.sizes, d)
-        first = np.arange(self._n, dtype=np.intp)[:, None]
+        """Prices at the start and of reserves, rows of muscles and of tendons, then of forces."""
+        trial, numbers, p = self._trial, self._numbers, self._exponent
+        falling = [float(muscle.dynamics.falling) for muscle in self._muscles]
+        shares = (trial.widths[:, None] * self._scheme.b).ravel()  # of time, of each point
+        price = price_form(p)
         return [
-            Block("start", start, first, trial.prices[:1].T),
-            Block("trial", form, places, data, 0.0, 0.0, sizes),
+            Block("start", price, numbers.a_start[None], (trial.prices[0] * falling)[None]),
+            Block("reserves", price, numbers.r.T.ravel()[None], np.tile(shares, self._r)[None]),
+            *self._activations(),
+            *self._fibers(),
+            *self._tendons(),
+            self._forces(),
         ]
 
-    def _ends(self, intervals: int) -> Array:
-        """Numbers of activations and fibre lengths at the start of each interval."""
-        d, n = self._scheme.degree, self._n
-        last = self._first + self._each * (d * np.arange(1, intervals) - 1)
-        lengths = np.arange(2 * n + self._r, 2 * n + self._r + self._ne)
-        at = np.concatenate((np.arange(n), lengths))
-        return np.concatenate((np.arange(self._n + self._ne)[None], last[:, None] + at))
+    def _activations(self) -> Iterator[Block]:
+        """Rows and prices of muscles, by how their activation moves."""
+        trial, numbers = self._trial, self._numbers
+        laws: list[Any] = [muscle.dynamics for muscle in self._muscles]
+        for kind in dict.fromkeys(type(law) for law in laws):
+            some = [i for i, law in enumerate(laws) if type(law) is kind]
+            form = activation_form(laws[some[0]], self._scheme, self._exponent)
+            places = numbers.over_intervals(numbers.a_start, numbers.a, some)
+            places = np.concatenate((places, numbers.at_points(numbers.e, some)))
+            own = np.tile(np.array([laws[i] for i in some], dtype=np.float64).T, len(trial.widths))
+            known = (trial.prices, trial.stiffness, trial.target)
+            points = [numbers.at_points(values[1:], some) for values in known]
+            widths = np.repeat(trial.widths, len(some))[None]
+            yield Block("activations", form, places, np.concatenate((widths, own, *points)))
 
-    @property
-    def _known(self) -> list[int]:
-        """Sizes of what is known at a point, in the order of `_Point`."""
-        n, nv = self._n, self._trial.needed.shape[1]
-        return [n, n, n, nv * (n + self._r), nv, n, n, n]
+    def _fibers(self) -> Iterator[Block]:
+        """Rows of lengths of fibres."""
+        if not self._ne:
+            return
+        numbers, every, widths = self._numbers, range(self._ne), self._trial.widths
+        places = numbers.over_intervals(numbers.fiber_start, numbers.fiber, every)
+        places = np.concatenate((places, numbers.at_points(numbers.speed, every)))
+        laws, intervals = [self._muscles[i].contraction for i in self._elastic], len(widths)
+        fastest = np.tile([law.fastest for law in laws], intervals)
+        data = np.stack((np.repeat(widths, self._ne), fastest))
+        sizes = np.tile([law.optimal for law in laws], (self._scheme.degree, intervals))
+        yield Block("fibers", fiber_form(self._scheme), places, data, 0.0, 0.0, sizes)
 
-    def _beginning(self) -> Form:
-        """The price of the activations at the start."""
-        a, prices = ca.SX.sym("a", self._n), ca.SX.sym("w", self._n)
-        falling = ca.DM([float(muscle.dynamics.falling) for muscle in self._muscles])
-        return Form(a, prices, ca.SX(0, 1), ca.dot(falling, prices * a**self._exponent))
+    def _tendons(self) -> Iterator[Block]:
+        """Balances of tendons with fibres, by their curves."""
+        laws = [self._muscles[i].contraction for i in self._elastic]
+        numbers, elastic = self._numbers, np.array(self._elastic, dtype=np.intp)
+        for curves in dict.fromkeys(law.curves for law in laws):
+            some = [at for at, law in enumerate(laws) if law.curves == curves]
+            each = numbers.a[:, elastic[some]], numbers.fiber[:, some], numbers.speed[:, some]
+            own = np.array([contraction_numbers(laws[at]) for at in some], dtype=np.float64).T
+            lengths = self._trial.length[1:, elastic[some]].ravel()[None]
+            data = np.concatenate((lengths, np.tile(own, self._points)))
+            places = np.stack([one.ravel() for one in each])
+            yield Block("tendons", tendon_form(curves), places, data)
 
-    def _interval(self) -> Form:
-        d, n, ne = self._scheme.degree, self._n, self._ne
-        start, unknown = ca.SX.sym("start", n + ne), ca.SX.sym("x", self._each, d)
-        h, known = ca.SX.sym("h"), ca.SX.sym("k", sum(self._known), d)
-        own = ca.vertsplit(unknown, np.cumsum([0, n, n, self._r, ne, ne]).tolist())
-        parts = ca.vertsplit(known, np.cumsum([0, *self._known]).tolist())
-        points = [
-            _Point(*(one[:, j] for one in own), *(one[:, j] for one in parts)) for j in range(d)
+    def _forces(self) -> Block:
+        """Rows of what muscles and reserves exert."""
+        trial, numbers = self._trial, self._numbers
+        least = [float(muscle.dynamics.least) for muscle in self._muscles]
+        slackens = ((trial.strength * least + trial.offset) < 0.0).any(axis=0)
+        pulls = [
+            Pull(muscle.contraction if muscle.is_elastic else None, bool(may))
+            for muscle, may in zip(self._muscles, slackens, strict=True)
         ]
-        A, b = self._scheme.A, self._scheme.b
-        rates = [self._rates(point) for point in points]
-        states = [ca.vertcat(point.a, point.l) for point in points]
-        rows = [
-            states[j] - start - h * sum(A[j, k] * rates[k] for k in range(d)) for j in range(d)
-        ]
-        forces = [self._tensions(point) for point in points]
-        rows += [balance for _, balance in forces]
-        rows += [
-            self._exerted(point, tension) - point.needed
-            for point, (tension, _) in zip(points, forces, strict=True)
-        ]
-        cost = h * sum(float(b[j]) * self._price(point) for j, point in enumerate(points))
-        x = ca.vertcat(start, ca.vec(unknown))
-        return Form(x, ca.vertcat(h, ca.vec(known)), ca.vertcat(*rows), cost)
-
-    def _rates(self, point: _Point) -> Any:
-        """Of activations, and of lengths of fibres."""
-        k = SymbolicKinematics
-        found = [
-            plain(muscle.dynamics.rate(k, Scalar(point.e[i]), Scalar(point.a[i])))
-            for i, muscle in enumerate(self._muscles)
-        ]
-        fastest = [self._muscles[i].contraction.fastest for i in self._elastic]
-        return ca.vertcat(*found, point.v * ca.DM(np.array(fastest)))
-
-    def _tensions(self, point: _Point) -> tuple[Any, Any]:
-        """Tensions [N], and what lacks in the balances of fibres and tendons per peak force."""
-        k, tensions, balances = SymbolicKinematics, [], []
-        for i, muscle in enumerate(self._muscles):
-            law, a = muscle.contraction, Scalar(point.a[i])
-            length = Scalar(point.length[i])
-            if not muscle.is_elastic:
-                pull = point.strength[i] * point.a[i] + point.offset[i]
-                tensions.append(ca.fmax(pull, 0.0))
-                continue
-            at = self._elastic.index(i)
-            lf = Scalar(point.l[at])
-            fiber = Fiber(lf, law.cosine(k, lf), Scalar(point.v[at]) * law.fastest)
-            pull = law.tendon(k, length, lf)
-            along = law.active(k, a, fiber) + law.passive(k, fiber) + law.damping(fiber)
-            tensions.append(plain(pull))
-            balances.append(plain((pull - along * fiber.cosine) / law.peak))
-        return ca.vertcat(*tensions), ca.vertcat(ca.SX(0, 1), *balances)
-
-    def _exerted(self, point: _Point, tension: Any) -> Any:
-        """On the independent coordinates, by rows of arms as numpy lays them out."""
-        count = self._n + self._r
-        columns = ca.reshape(point.columns, count, -1).T
-        return columns @ ca.vertcat(tension, point.r)
-
-    def _price(self, point: _Point) -> Any:
-        effort = ca.sum1(point.prices * point.e**self._exponent)
-        effort += ca.sum1(point.stiffness * (point.a - point.target) ** 2)
-        p = self._exponent
-        return effort + ca.sum1(point.r**2 if p == 2.0 else (point.r**2) ** (0.5 * p))
+        unknown = numbers.a.copy()
+        unknown[:, self._elastic] = numbers.fiber
+        kept = np.abs(trial.columns).max(axis=0) > 0.0
+        known = trial.strength, trial.offset, trial.length, trial.columns[:, kept], trial.needed
+        data = np.concatenate(known, axis=1)[1:].T
+        places = np.concatenate((unknown, numbers.r), axis=1).T
+        return Block("forces", force_form(pulls, kept), places, data, 0.0, 0.0, trial.sizes)
