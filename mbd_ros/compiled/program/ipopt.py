@@ -4,7 +4,7 @@ Source: A. Waechter, L. T. Biegler, On the implementation of an interior-point f
 algorithm for large-scale nonlinear programming, Mathematical Programming 106, 2006.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import casadi as ca
@@ -22,6 +22,7 @@ _WARM = {
     "bound_frac": 1.0e-9,
     "bound_mult_init_method": "mu-based",
 }
+_NO_OPTIONS: Mapping[str, Any] = {}
 Progress = Callable[[], tuple[float, float]]  # cost and violation
 Tell = Callable[[int, Progress], bool]  # number of the iteration; whether to stop
 
@@ -64,6 +65,7 @@ def solve(
     most: int = 1000,
     is_near: bool = False,
     tell: Tell | None = None,
+    options: Mapping[str, Any] = _NO_OPTIONS,
 ) -> Solved:
     """Solve a program.
 
@@ -76,6 +78,7 @@ def solve(
         most: Largest number of iterations.
         is_near: Whether the guess solves a program that is nearly this one.
         tell: Is called after every iteration; stops the solver where it says so.
+        options: Further ones of IPOPT, by name.
     """
     functions, at = program.functions(), program.open
     ipopt: dict[str, Any] = {
@@ -89,15 +92,14 @@ def solve(
         "max_iter": most,
         "linear_solver": "mumps",
         **(_WARM if is_near else {}),
+        **options,
     }
-    options = {name: functions[name] for name in ("grad_f", "jac_g", "hess_lag")}
+    asked = {name: functions[name] for name in ("grad_f", "jac_g", "hess_lag")}
     more = {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False}
     watch = _Watch(program.bounds, tell) if tell is not None else None
     if watch is not None:
         more["iteration_callback"] = watch
-    solver = ca.nlpsol(
-        "predict", "ipopt", functions["program"], {**options, **more, "ipopt": ipopt}
-    )
+    solver = ca.nlpsol("predict", "ipopt", functions["program"], {**asked, **more, "ipopt": ipopt})
     sizes, (row_lower, row_upper) = program.sizes[at], program.bounds
     found = solver(
         x0=guess[at] / sizes,

@@ -26,8 +26,8 @@ def price_form(exponent: float) -> Form:
 def activation_form(dynamics: ActivationDynamics, scheme: Collocation, exponent: float) -> Form:
     """One activation on one interval, and what its excitation costs.
 
-    Unknown are the activation at the start, activations and excitations at the points; data: the
-    width of the interval, numbers of the dynamics, then prices, stiffness and target at the points.
+    Unknown are the activation at the start, activations and excitations at the points; data:
+    width of the interval, numbers of the dynamics, then prices, stiffness and target at points.
     """
     kind: Any = type(dynamics)
     d, count = scheme.degree, len(kind._fields)

@@ -41,6 +41,13 @@ from mbd_ros.core.state import Array
 
 _FASTEST, _LONGEST = 3.0, 2.0  # bounds of fibres, per largest speed and per optimal length
 _SHORTEST = 0.05  # per optimal length, where fibres may be as short as they like
+_OPTIONS = {  # rows and unknowns are in usual sizes: scaling and refinement take time alone
+    "min_refinement_steps": 0,
+    "mumps_mem_percent": 100,
+    "mumps_scaling": 0,
+    "mumps_permuting_scaling": 0,
+    "mumps_pivot_order": 2,
+}
 
 
 class MuscleProgram:
@@ -84,6 +91,7 @@ class MuscleProgram:
         first = guess.activation[0], guess.fiber_length[0]
         start = np.clip(np.concatenate((*first, points.ravel())), lower, upper)
         options: dict[str, Any] = {"accuracy": accuracy, "most": most, "is_near": is_near}
+        options["options"] = _OPTIONS
         return self._optimal(solve(program, start, lower, upper, **options), program)
 
     def _optimal(self, found: Solved, program: SparseProgram) -> Optimal:

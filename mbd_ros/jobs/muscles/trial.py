@@ -23,7 +23,7 @@ from mbd_ros.errors import DataError, SolveError
 from mbd_ros.jobs.muscles.trial_points import Points, graded
 from mbd_ros.jobs.progress import announce
 
-_ACCURACY, _MOST, _ROUNDS = 1.0e-8, 500, 3
+_ACCURACY, _MOST, _ROUNDS = 1.0e-6, 500, 3
 _BISECTIONS = 30
 _LEAST_SIZE = 1.0e-3  # of the largest force: what a coordinate that needs hardly anything counts
 _NAMED = 3  # worst places of a trial that cannot be produced
