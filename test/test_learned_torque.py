@@ -16,6 +16,7 @@ from mbd_ros.errors import SceneError
 from mbd_ros.jobs.learn.curves import CURVES
 from mbd_ros.jobs.learn.onnx_file import onnx_of
 from mbd_ros.jobs.learn.scales import Scales
+from mbd_ros.scene.learned_entries import physics_beside
 
 onnx = pytest.importorskip("onnx", reason="onnx is optional (extra: learn)")
 pytest.importorskip("onnxruntime", reason="onnxruntime is optional (extra: learned)")
@@ -50,12 +51,13 @@ def weights(kind, m, seed=0):
     return found | {"offset": random.normal(size=(MEMBERS, m))}
 
 
-def content(scene, kind="free", half=3.0, trust=1.0):
+def content(scene, kind="free", half=3.0, trust=1.0, **corrections):
     """A model with random weights; positions and velocities are trusted within a half span."""
     joints = scene.couplings.independent
     m = len(joints)
     wall = np.full(2 * m, half)
     said = About(kind, "arm7", joints, -wall, wall, numbers_of(scene.robot))
+    said = said._replace(physics=physics_beside(scene, said), **corrections)
     return onnx_of(said, weights(kind, m), scales(m), np.full(m, trust))
 
 
@@ -137,6 +139,7 @@ def test_energy_of_a_free_swing_holds(folder):
     made["W3"][:, -1] = 0.0
     wall = np.full(2 * m, 50.0)
     said = About("structured", "leg", joints, -wall, wall, numbers_of(scene.robot))
+    said = said._replace(physics=physics_beside(scene, said))
     path = folder / "conservative.onnx"
     path.write_bytes(onnx_of(said, made, scales(m), np.ones(m)))
     heavy = with_model("prosthetic_leg", path)
@@ -289,3 +292,93 @@ def test_the_model_of_a_controller_has_it(folder):
     bare, learned = (law.effort(x, ref, np.zeros(0), box).effort for law in laws)
     expected = -scene.forces[0].force(None, x, NONE)
     assert np.allclose(learned - bare, expected, atol=1e-9)
+
+
+def test_corrections_of_inertias_are_the_inertias(folder):
+    """Coupled leg: a model with corrections against the leg with other inertias, out of range too.
+
+    Both ways of dynamics; the network gives nothing.
+    """
+    plain, foot = mbd.load_scene("prosthetic_leg"), "foot"
+    one, center = plain.robot.inertias()[foot], [0.03, 0.01, -0.05]
+    heavy = plain.with_inertias({foot: (one.mass + 0.8, center, one.inertia)})
+    numbers = numbers_of(heavy.robot)[foot], numbers_of(plain.robot)[foot]
+    added = np.subtract(*(values[:10] for values in numbers)).tolist()
+    path = folder / "corrected.onnx"
+    path.write_bytes(content(plain, half=0.2, trust=0.0, bodies={foot: added}))
+    scene = with_model("prosthetic_leg", path)
+    for y, rate in zip(*states(3, 5), strict=True):
+        expected = heavy.inverse_dynamics().solve(y, rate, 2.0 - y).tau
+        assert np.allclose(scene.inverse_dynamics().solve(y, rate, 2.0 - y).tau, expected)
+        q, v, a = np.zeros((3, scene.robot.model.nv))
+        q[scene.couplings.q_index], v[scene.couplings.v_index] = y, rate
+        scene.couplings.expand(q, v, a)
+        here, there = (one.system().evaluate(State(0.0, q, v)) for one in (scene, heavy))
+        assert np.allclose(here.a, there.a)
+    energy = [one.simulate(duration=0.02)["samples"]["energy"] for one in (scene, heavy)]
+    assert np.allclose(*energy)
+
+
+def test_corrections_of_friction_hold_everywhere(folder):
+    """Offset, viscous and dry friction at ten times the range, in closed form."""
+    path = folder / "rubbing.onnx"
+    friction = {"joint2": [0.3, 0.5, 2.0, 0.1]}
+    path.write_bytes(content(mbd.load_scene("arm7"), half=0.2, trust=0.0, friction=friction))
+    (part,) = with_model("arm7", path).forces
+    assert not part.has_inertia
+    v = np.full(7, 2.0)
+    force = part.force(None, State(0.0, np.zeros(7), v), NONE)
+    expected = -(0.3 + 0.5 * 2.0 + 2.0 * np.tanh(2.0 / 0.1))
+    assert np.allclose(force, [0.0, expected, *np.zeros(5)], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("more", "message"),
+    [
+        ({"bodies": {"nosuch": [0.0] * 10}}, "no body 'nosuch'"),
+        ({"bodies": {"link3": [0.0] * 9}}, "'link3' has 9 numbers, not 10"),
+        ({"friction": {"joint2": [0.0, 0.0, 1.0, 0.0]}}, "not offset, viscous and curves"),
+        ({"friction": {"nosuch": [0.0, 0.0]}}, "nosuch"),
+    ],
+)
+def test_corrections_of_another_form_are_refused(folder, tmp_path, more, message):
+    path = tmp_path / "model.onnx"
+    path.write_bytes(content(mbd.load_scene("arm7"), **more))
+    with pytest.raises(SceneError, match=message):
+        with_model("arm7", path)
+
+
+RUBBING = {"type": "gear_friction", "joint": "joint2", "coulomb": 2.0}
+BEND = {"parent": "joint1", "factor": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("learned_in", "used_in", "message"),
+    [
+        ({"forces": [RUBBING]}, {}, "which had force 'joint2_gear_friction'; this scene has not"),
+        ({}, {"forces": [RUBBING]}, "which had no force 'joint2_gear_friction'; this scene has"),
+        (
+            {"forces": [RUBBING]},
+            {"forces": [{**RUBBING, "coulomb": 2.5}]},
+            "with another force 'joint2_gear_friction'",
+        ),
+        (
+            {"couplings": {"joint7": BEND}},
+            {"couplings": {"joint7": {**BEND, "factor": 0.6}}},
+            "with another coupling of 'joint7'",
+        ),
+    ],
+)
+def test_the_model_of_other_forces_and_couplings_is_refused(
+    tmp_path, learned_in, used_in, message
+):
+    """And taken by the scene that it was learned on, whatever its forces are called there."""
+    arm, path = mbd.load_scene("arm7"), tmp_path / "model.onnx"
+    own = arm.with_(**learned_in)
+    path.write_bytes(content(own))
+    entry = {"type": "learned_torque", "model": str(path)}
+    renamed = [{**one, "name": "belt"} for one in learned_in.get("forces", ())]
+    own.with_(forces=[entry, *renamed])
+    other = arm.with_(**{key: value for key, value in used_in.items() if key != "forces"})
+    with pytest.raises(SceneError, match=f"model.onnx was learned on arm7, {message}"):
+        other.with_(forces=[*used_in.get("forces", ()), entry])

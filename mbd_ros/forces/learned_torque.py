@@ -1,10 +1,11 @@
-"""Torque that a network has learned beside the equations of motion."""
+"""Torque that a model has learned beside the equations of motion."""
 
 from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
 
+from mbd_ros.core.learned.corrections import Corrections
 from mbd_ros.core.learned.model_file import LARGEST, About, LearnedFile, about, check_robot
 from mbd_ros.core.learned.training_range import TrainingRange
 from mbd_ros.core.model.kinematics import Kinematics
@@ -20,16 +21,21 @@ _TORQUE, _SPREAD, _INERTIA = "torque", "spread", "inertia"
 
 
 class LearnedTorque(Load):
-    """f = -s(q, v) r(q, v) - s(q) M(q) a: what drives need beside the equations of motion.
+    """f = -s(q, v) r(q, v) - s(q) M(q) a - c(q, v, a): what drives need beside the equations.
 
     The network is a file of `mbd-ros learn` and belongs to the robot that it was learned on. M is
     there in structured models only. s is 1 where the network has learned and fades to 0 outside of
-    that box of positions and velocities. It knows nothing of accelerations, temperature or wear.
+    that box of positions and velocities. c are corrections of inertias and friction, which adapted
+    models have; they hold everywhere, as physics does. It knows nothing of temperature or wear.
 
     Args:
         robot: Robot of the scene.
         model: File of `mbd-ros learn`, relative to the scene.
         fade: Width in which it fades, over half of what a position or velocity spanned.
+
+    Attributes:
+        file: Name of the file.
+        said: What it says of itself.
 
     Raises:
         ModelError: The file is damaged, of another version, or of another robot; or onnxruntime
@@ -46,7 +52,7 @@ class LearnedTorque(Load):
         model: LearnedFile,
         fade: Annotated[Positive, Unit("-")] = 0.25,
     ) -> None:
-        said = about(model)
+        self.file, self.said = model.name, (said := about(model))
         check_robot(model.name, said, robot)
         self.joints, self._nv = said.joints, int(robot.model.nv)
         joints = [robot.joint(name) for name in said.joints]
@@ -56,7 +62,9 @@ class LearnedTorque(Load):
         m = len(joints)
         self._places = TrainingRange(said.low[:m], said.high[:m], fade)
         self._session = _session(model, said)
-        self.has_inertia = said.kind == "structured"
+        self._has_matrix = said.kind == "structured"
+        self._corrections = Corrections(robot, said.bodies, said.friction)
+        self.has_inertia = self._has_matrix or self._corrections.has_inertia
         self._titles = [
             *(f"position of {name}" for name in said.joints),
             *(f"velocity of {name}" for name in said.joints),
@@ -64,21 +72,27 @@ class LearnedTorque(Load):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
-        tau = np.zeros(self._nv)
+        tau = -self._corrections.torque(x.q, x.v)
         values = self._values(x)
         share = self._range.share(values)
         if share > 0.0:
-            tau[self._v] = -share * self._asked(values, _TORQUE)
+            tau[self._v] -= share * self._asked(values, _TORQUE)
         return tau
 
     def inertia(self, k: Kinematics, x: State) -> Array:
         """M on the joints, shape (nv, nv); it fades with positions alone, of which it is one."""
         found, m = np.zeros((self._nv, self._nv)), len(self._q)
+        if self._corrections.has_inertia:
+            found = self._corrections.inertia(x.q)
         values = self._values(x)
-        share = self._places.share(values[:m]) if self.has_inertia else 0.0
+        share = self._places.share(values[:m]) if self._has_matrix else 0.0
         if share > 0.0:
-            found[self._box] = share * self._asked(values, _INERTIA)
+            found[self._box] += share * self._asked(values, _INERTIA)
         return found
+
+    def potential(self, k: Kinematics, x: State) -> float:
+        """Energy of corrected inertias in gravity [J]."""
+        return self._corrections.potential(x.q)
 
     def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
         """Trust, and the largest standard deviation of a torque among the networks."""

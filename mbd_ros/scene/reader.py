@@ -81,7 +81,12 @@ def build_scene(
     sections, code = table_of(origin, entries, foreign)
     parts, robot = build(origin, entries, sections, kept)
     assert robot is not None
-    return Scene(origin, robot, parts, entries, sections, code)
+    scene = Scene(origin, robot, parts, entries, sections, code)
+    if any(hasattr(part, "said") for part in parts.get("forces", ())):
+        from mbd_ros.scene.learned_entries import check_models
+
+        check_models(scene)
+    return scene
 
 
 def description_topic(path: str | Path) -> str | None:

@@ -69,7 +69,10 @@ class IndependentJoints:
         mechanism = self._mechanism
         if self.is_linear:
             return mechanism.bias(self.q, self.v)
-        return pin.rnea(mechanism.model, mechanism.data, self.q, self.v, self.a)
+        bias: Array = pin.rnea(mechanism.model, mechanism.data, self.q, self.v, self.a)
+        if mechanism.loads.heavy:
+            bias = bias + mechanism.added(self.q, self.a)
+        return bias
 
     def joint_motion(self, a: Array) -> tuple[Array, Array, Array]:
         """q, v and a of all joints from y'' at the last `at`; q and v are live."""
@@ -85,6 +88,8 @@ class IndependentJoints:
         """
         mechanism, q, v = self._mechanism, self.q, self.v
         force = pin.rnea(mechanism.model, mechanism.data, q, v, a)
+        if mechanism.loads.heavy:
+            force = force + mechanism.added(q, a)
         return force - mechanism.tau(t, q, v, u)
 
     def expand(self, y: State) -> State:

@@ -55,6 +55,11 @@ class Mechanism:
         x = self.placed(0.0, q, self.loads.reads)
         return M + sum(load.inertia(self.k, x) for load in self.loads.heavy)
 
+    def added(self, q: Array, a: Array) -> Array:
+        """What accelerations ask of inertia that loads add, shape (nv,)."""
+        x = self.placed(0.0, q, self.loads.reads)
+        return sum((load.inertia(self.k, x).dot(a) for load in self.loads.heavy), self.zero)
+
     def bias(self, q: Array, v: Array) -> Array:
         """The h of M a + h = tau, shape (nv,), overwritten by the next call."""
         return pin.nonLinearEffects(self.model, self.data, q, v)

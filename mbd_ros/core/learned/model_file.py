@@ -6,6 +6,8 @@ SHA-256 of itself, computed with zeros in the place of the sum. Reading it runs 
 
 import hashlib
 import json
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +22,8 @@ ABOUT, SUM = "mbd_ros", "mbd_ros.sha256"  # keys of the metadata
 ZEROS = "0" * 64
 LARGEST = 64_000_000  # bytes
 _SAME = 1.0e-6  # of the largest number of a body: what writing and reading a description leaves
+_TABLES = ("robot", "physics", "bodies", "friction")
+_NONE: Mapping[str, Sequence[float]] = MappingProxyType({})
 _VALUE = b"\x12\x40"  # protobuf: field 2, 64 bytes
 
 
@@ -45,6 +49,10 @@ class About(NamedTuple):
         low: Smallest positions and velocities that it has seen, shape (2 m,).
         high: Largest ones, same shape.
         robot: Numbers of the robot, as `numbers_of` gives them.
+        physics: What else of the scene shapes its torques, as `physics_of` gives it; nothing where
+            nobody wrote it down.
+        bodies: Corrections of inertias, as `Corrections` takes them.
+        friction: Corrections of friction, as `Corrections` takes them.
     """
 
     kind: str
@@ -52,11 +60,15 @@ class About(NamedTuple):
     joints: tuple[str, ...]
     low: Array
     high: Array
-    robot: dict[str, list[float]]
+    robot: Mapping[str, Sequence[float]]
+    physics: Mapping[str, Sequence[float]] = _NONE
+    bodies: Mapping[str, Sequence[float]] = _NONE
+    friction: Mapping[str, Sequence[float]] = _NONE
 
     def text(self) -> str:
         """As metadata of a file."""
         values = self._asdict() | {"low": self.low.tolist(), "high": self.high.tolist()}
+        values |= {key: dict(values[key]) for key in _TABLES}
         return json.dumps({"version": VERSION, **values})
 
 
@@ -84,7 +96,7 @@ def about(file: LearnedFile) -> About:
     blank = content[:at] + ZEROS.encode() + content[at + len(ZEROS) :]
     if _sum(blank) != content[at : at + len(ZEROS)]:
         raise ModelError(f"{file.name} is damaged: its contents do not match their sum")
-    return _read(file.name, _metadata(file))
+    return about_of(file.name, _metadata(file))
 
 
 def _metadata(file: LearnedFile) -> dict[str, Any]:
@@ -100,7 +112,16 @@ def _metadata(file: LearnedFile) -> dict[str, Any]:
     return found
 
 
-def _read(name: str, found: dict[str, Any]) -> About:
+def about_of(name: str, found: dict[str, Any]) -> About:
+    """What a model says of itself, from the values of its JSON.
+
+    Args:
+        name: For the messages.
+        found: The values.
+
+    Raises:
+        ModelError: It is of another version, or does not say it; names it.
+    """
     version = found.pop("version", None)
     if version != VERSION:
         raise ModelError(
@@ -111,13 +132,26 @@ def _read(name: str, found: dict[str, Any]) -> About:
         made = About(**found)
         low, high = (np.array(one, dtype=np.float64) for one in (made.low, made.high))
         joints = tuple(map(str, made.joints))
-        robot = {str(k): [float(x) for x in values] for k, values in made.robot.items()}
+        robot, physics, bodies, friction = (_table(getattr(made, key)) for key in _TABLES)
     except (TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{name} does not say what it belongs to: {error}") from error
     is_whole = low.shape == high.shape == (2 * len(joints),) and np.isfinite([low, high]).all()
     if not (is_whole and (low < high).all()):
         raise ModelError(f"{name}: its range is none")
-    return made._replace(low=low, high=high, joints=joints, robot=robot)
+    made = made._replace(low=low, high=high, joints=joints, robot=robot)
+    return made._replace(physics=physics, bodies=bodies, friction=friction)
+
+
+def _table(given: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
+    """Names and numbers.
+
+    Raises:
+        ValueError: A number that is not finite.
+    """
+    found = {str(key): [float(x) for x in values] for key, values in given.items()}
+    if not all(np.isfinite(values).all() for values in found.values()):
+        raise ValueError("a number is not finite")
+    return found
 
 
 def _place() -> bytes:

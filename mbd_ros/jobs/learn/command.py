@@ -1,6 +1,7 @@
 """Words of `mbd-ros learn`."""
 
 import argparse
+from collections.abc import Collection
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
@@ -12,7 +13,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `learn` understands."""
     add_scene(parser)
     parser.add_argument(
-        "motion", type=path_word, nargs="+", help="tables or bags with positions and efforts"
+        "motion", type=path_word, nargs="*", help="tables or bags with positions and efforts"
     )
     parser.add_argument(
         "-o", "--out", type=path_word, required=True, help="folder for the model (required)"
@@ -88,16 +89,26 @@ def _add_numbers(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def _frozen(words: list[str], accepted: Collection[str]) -> tuple[str, list[str]]:
+    """What --freeze says, and motions that stand behind it."""
+    for count in (1, 2):
+        if " ".join(words[:count]) in accepted:
+            return " ".join(words[:count]), words[count:]
+    return " ".join(words), []
+
+
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
     from mbd_ros.jobs.learn.report import compare_to, learn_to
-    from mbd_ros.jobs.learn.task import Task
+    from mbd_ros.jobs.learn.task import FREEZE, Task
     from mbd_ros.scene.reader import load_scene
 
     names = ("wrenches", "topic", "derivatives", "band", "learned", "variant", "physics")
     names += ("members", "steps", "seed", "rate")
     options = {name: getattr(arguments, name) for name in names}
-    task = Task(arguments.motion, freeze=" ".join(arguments.freeze), **options)
+    freeze, after = _frozen(arguments.freeze, FREEZE)
+    motions = [*arguments.motion, *map(path_word, after)]
+    task = Task(motions, freeze=freeze, **options)
     scene = load_scene(arguments.scene)
     if arguments.compare:
         compare_to(scene, task, arguments.out, arguments.seeds, say)

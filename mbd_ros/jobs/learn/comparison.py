@@ -23,20 +23,14 @@ from mbd_ros.files.table import Column, Table
 from mbd_ros.jobs.identify.job import run_identify
 from mbd_ros.jobs.identify.samples import Recorded, split
 from mbd_ros.jobs.identify.task import Task as IdentifyTask
-from mbd_ros.jobs.learn.fitting import (
-    INFORMED,
-    MOST,
-    blocks_of,
-    first_weights,
-    fit,
-    network_of,
-    said_by,
-    trusted,
-)
+from mbd_ros.jobs.learn.adapting import MOST
+from mbd_ros.jobs.learn.ensembles import first_weights, network_of, said_by
+from mbd_ros.jobs.learn.fitting import INFORMED, fit
 from mbd_ros.jobs.learn.job import prediction, without_model
 from mbd_ros.jobs.learn.recordings import Recordings, first_seconds, share_of, thinned
 from mbd_ros.jobs.learn.scales import Samples, Scales
 from mbd_ros.jobs.learn.task import Task
+from mbd_ros.jobs.learn.trust import blocks_of, trusted
 from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
 
@@ -118,7 +112,7 @@ def _ways(
         own = task._replace(seed=seed)
         yield "black box", seed, _black_box(own, train, test, None)
         model = fit(scene, own, recordings.joints, train, lambda share: None)
-        yield "residual", seed, share_of(prediction(model, test), test.measured)
+        yield "residual", seed, share_of(prediction(scene, model, test), test.measured)
         asked = _asked(scene if better is None else better, recordings, add)
         yield "physics-informed", seed, _black_box(own, train, test, asked)
 
@@ -194,7 +188,7 @@ def _asked(scene: Scene, recordings: Recordings, add: Torque) -> Asked:
         w, push = np.zeros((2, n, len(scene.couplings.v_index)))
         y[:, y_at], w[:, w_at], push[:, w_at] = q, v, a
         zero = np.zeros_like(q)
-        states = Samples(np.arange(1.0 * n), q, v, a, zero, zero, zero)
+        states = Samples(np.arange(1.0 * n), q, v, a, zero, zero, zero, y, w, push)
         return states, solver.batch(y, w, push).tau[:, w_at] + add(states)
 
     return asked

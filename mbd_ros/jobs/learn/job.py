@@ -13,9 +13,11 @@ from mbd_ros.jobs.identify.identified_scene import description_of
 from mbd_ros.jobs.identify.job import run_identify
 from mbd_ros.jobs.identify.samples import split
 from mbd_ros.jobs.identify.task import Task as IdentifyTask
-from mbd_ros.jobs.learn.fitting import fit, network_of, require_torch, said_by
+from mbd_ros.jobs.learn.correcting import Columns
+from mbd_ros.jobs.learn.ensembles import network_of, require_torch, said_by
+from mbd_ros.jobs.learn.fitting import fit
 from mbd_ros.jobs.learn.onnx_file import onnx_of
-from mbd_ros.jobs.learn.recordings import Recordings, share_of
+from mbd_ros.jobs.learn.recordings import FEWEST, Recordings, share_of
 from mbd_ros.jobs.learn.scales import Samples
 from mbd_ros.jobs.learn.task import FREEZE, Learned, Outcome, Task
 from mbd_ros.jobs.lines import Say
@@ -71,11 +73,10 @@ def run_learn(scene: Scene, task: Task, say: Say) -> Outcome:
     rest = [one for _, one in parts if one is not None]
     with share_watch("learning") as tell:
         model = fit(stands_on, task, recordings.joints, samples, tell)
-    for name, share in zip(recordings.joints, model.trust, strict=True):
-        if share == 0.0:
-            say(f"{name}: nothing was found that holds where it was not learned from; it gives 0")
-    test = recordings.samples(stands_on, rest) if rest else None
-    errors, table = _validated(model, test)
+    _say_what_acts(model, say)
+    is_enough = sum(len(one.times) for one in rest) >= FEWEST
+    test = recordings.samples(stands_on, rest) if is_enough else None
+    errors, table = _validated(stands_on, model, test)
     if errors:
         say(
             "not learned from, efforts as measured: physics {physics:.2f} % of the torque, with "
@@ -83,6 +84,18 @@ def run_learn(scene: Scene, task: Task, say: Say) -> Outcome:
         )
     content = onnx_of(model.about, model.weights, model.scales, model.trust)
     return Outcome(model, content, stands_on, {"validation": table}, errors, [])
+
+
+def _say_what_acts(model: Learned, say: Say) -> None:
+    """Which joints have a network that gives something, and whether numbers are corrected."""
+    if model.numbers.any():
+        say("adapters: inertias and friction are corrected")
+        if not model.trust.any():
+            say("the network adds nothing that holds to that; it gives 0")
+            return
+    for name, share in zip(model.about.joints, model.trust, strict=True):
+        if share == 0.0:
+            say(f"{name}: nothing was found that holds where it was not learned from; it gives 0")
 
 
 def without_model(scene: Scene) -> Scene:
@@ -115,18 +128,24 @@ def physics_of(scene: Scene, task: Task, say: Say) -> Scene:
     return found.scene
 
 
-def prediction(model: Learned, samples: Samples) -> Any:
+def prediction(scene: Scene, model: Learned, samples: Samples) -> Any:
     """Torque of the scene and of the model [N·m or N], shape (n, m)."""
     network = network_of(model.about.kind, model.scales)
-    return samples.physics + model.trust * said_by(network, model.weights, samples)
+    found = samples.physics + model.trust * said_by(network, model.weights, samples)
+    if model.numbers.any():
+        columns = Columns(scene, model.about.joints, model.scales)
+        found += columns.torque(samples, model.numbers)
+    return found
 
 
-def _validated(model: Learned, test: Samples | None) -> tuple[dict[str, float], Table]:
+def _validated(
+    scene: Scene, model: Learned, test: Samples | None
+) -> tuple[dict[str, float], Table]:
     """Errors of what was not learned from."""
     joints = Column("joint", np.array(list(model.about.joints)))
     if test is None:
         return {}, Table([joints])
-    said = {"physics": test.physics, "learned": prediction(model, test)}
+    said = {"physics": test.physics, "learned": prediction(scene, model, test)}
     columns = [joints, Column("trust", model.trust)]
     for name, torque in said.items():
         rms = np.sqrt(np.mean(np.square(torque - test.measured), axis=0))

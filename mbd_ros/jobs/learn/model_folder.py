@@ -10,10 +10,11 @@ from zipfile import BadZipFile
 import numpy as np
 import yaml
 
-from mbd_ros.core.learned.model_file import VERSION, About
+from mbd_ros.core.learned.model_file import about_of
 from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError, SceneError
+from mbd_ros.errors import DataError, ModelError, SceneError
 from mbd_ros.jobs.identify.identified_scene import description_of, scene_text, write_files
+from mbd_ros.jobs.learn.correcting import Known
 from mbd_ros.jobs.learn.scales import Scales
 from mbd_ros.jobs.learn.task import Learned, Outcome
 from mbd_ros.jobs.lines import Say
@@ -64,10 +65,10 @@ def csv(columns: Any) -> bytes:
 def _weights(model: Learned) -> bytes:
     arrays = {f"weight.{key}": value for key, value in model.weights.items()}
     arrays |= {f"scale.{key}": value for key, value in model.scales._asdict().items()}
-    arrays |= {"trust": model.trust, "low": model.about.low, "high": model.about.high}
-    said = model.about._asdict() | {"low": None, "high": None, "version": VERSION}
+    arrays |= {f"known.{key}": value for key, value in model.known._asdict().items()}
+    arrays |= {"trust": model.trust, "numbers": model.numbers}
     target = io.BytesIO()
-    np.savez_compressed(target, about=np.array(json.dumps(said)), **arrays)
+    np.savez_compressed(target, about=np.array(model.about.text()), **arrays)
     return target.getvalue()
 
 
@@ -92,17 +93,16 @@ def read_folder(folder: Path) -> Learned:
 
 def _learned(path: Path, arrays: dict[str, Array]) -> Learned:
     try:
-        said = json.loads(str(arrays["about"]))
-        version = said.pop("version", None)
-        if version != VERSION:
-            raise DataError(f"{path}: version {version!r} of learned models, accepted: {VERSION}")
-        said |= {"low": arrays["low"], "high": arrays["high"], "joints": tuple(said["joints"])}
+        about = about_of(str(path), json.loads(str(arrays["about"])))
         scales = Scales(*(arrays[f"scale.{key}"] for key in Scales._fields))
         weights = {
             key.removeprefix("weight."): value
             for key, value in arrays.items()
             if key.startswith("weight.")
         }
-        return Learned(About(**said), scales, weights, arrays["trust"])
+        known = Known(*(arrays[f"known.{key}"] for key in Known._fields))
+        return Learned(about, scales, weights, arrays["trust"], known, arrays["numbers"])
+    except ModelError as error:
+        raise DataError(str(error)) from error
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise DataError(f"{path}: is no file of mbd-ros learn: {error}") from error

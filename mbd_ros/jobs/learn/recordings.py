@@ -18,7 +18,7 @@ from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
 
 _MEASURED = 0.99  # of the samples: a joint with fewer efforts is not learned
-_FEWEST = 20  # samples
+FEWEST = 20  # samples
 
 
 class Recordings:
@@ -43,7 +43,7 @@ class Recordings:
                 f"--wrenches: {len(task.wrenches)} for {len(task.motions)} motions; give one each"
             )
         if not task.motions:
-            raise DataError("no motion to learn from")
+            raise DataError("no motion to learn from: give tables or bags")
         options = {"topic": task.topic, "derivatives": task.derivatives, "say": say}
         pairs = zip_longest(task.motions, task.wrenches)
         self.every = [read(scene, source, wrenches=load, **options) for source, load in pairs]
@@ -86,9 +86,9 @@ class Recordings:
         joined = Samples(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
         there = np.isfinite(np.hstack([joined.effort, joined.measured])).all(axis=1)
         joined = joined.at(there)
-        if joined.count < _FEWEST:
+        if joined.count < FEWEST:
             raise DataError(
-                f"{self.where}: {joined.count} samples to learn from, needed are {_FEWEST}"
+                f"{self.where}: {joined.count} samples to learn from, needed are {FEWEST}"
             )
         return joined
 
@@ -99,9 +99,8 @@ class Recordings:
         mine = [names.index(name) for name in self.joints]
         y, w = np.array(at.joint_y)[mine], np.array(at.joint_w)[mine]
         motion = piece.y[:, y], piece.v[:, w], piece.a[:, w]
-        return Samples(
-            piece.times, *motion, piece.effort[:, mine], piece.measured[:, mine], tau[:, w]
-        )
+        efforts = piece.effort[:, mine], piece.measured[:, mine]
+        return Samples(piece.times, *motion, *efforts, tau[:, w], piece.y, piece.v, piece.a)
 
 
 def first_seconds(recorded: Recorded, seconds: float) -> Recorded:

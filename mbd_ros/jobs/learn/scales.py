@@ -21,6 +21,9 @@ class Samples(NamedTuple):
         effort: Low-passed efforts [N·m or N], same shape.
         measured: Efforts as measured.
         physics: Torques of the scene.
+        y: Independent coordinates of the whole robot, shape (n, ny).
+        w: Their velocities, shape (n, nv_y).
+        push: Their accelerations, same shape.
     """
 
     times: Array
@@ -30,6 +33,9 @@ class Samples(NamedTuple):
     effort: Array
     measured: Array
     physics: Array
+    y: Array
+    w: Array
+    push: Array
 
     def at(self, rows: Any) -> "Samples":
         """Some of the rows."""

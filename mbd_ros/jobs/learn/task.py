@@ -8,6 +8,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.recordings import Source
 from mbd_ros.files.table import Table
+from mbd_ros.jobs.learn.correcting import Known
 from mbd_ros.jobs.learn.scales import Scales
 from mbd_ros.scene.built_scene import Scene
 
@@ -90,12 +91,16 @@ class Learned(NamedTuple):
         scales: Of inputs and outputs.
         weights: Members first, as in `network`.
         trust: Share of the torque of each joint that is given, shape (m,).
+        known: What was learned from says of linear numbers.
+        numbers: Corrections of inertias and friction, shape (p,).
     """
 
     about: About
     scales: Scales
     weights: Mapping[str, Array]
     trust: Array
+    known: Known
+    numbers: Array
 
 
 class Outcome(NamedTuple):

@@ -7,9 +7,9 @@ import numpy as np
 import torch
 
 from mbd_ros.core.state import Array
-from mbd_ros.jobs.learn.fitting import blocks_of
 from mbd_ros.jobs.learn.network import Weights
 from mbd_ros.jobs.learn.scales import Samples
+from mbd_ros.jobs.learn.trust import blocks_of
 
 _DECAY = 1.0e-3  # of weights
 _LOOK = 10  # steps between looks at the block that is left out

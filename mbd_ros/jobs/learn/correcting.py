@@ -1,0 +1,176 @@
+"""Corrections of inertias and friction from few samples: adapters that are linear in torque.
+
+Of everything that a model has learned from, the triangle of a QR factorisation is kept: that is
+all that samples say of linear numbers. New samples are put below it. The prior of each number is
+that its torque is 0, with a deviation that makes what was measured most likely.
+
+Source: D. MacKay, Neural Computation 4, 1992, 415 (evidence of a prior).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.identification.base_parameters import base_parameters
+from mbd_ros.core.identification.inertial_parameters import COUNT, moving_bodies, parameters_of
+from mbd_ros.core.identification.regressor import Regressor, random_states
+from mbd_ros.core.learned.model_file import About
+from mbd_ros.core.state import Array
+from mbd_ros.jobs.learn.curves import CURVES, curves_of
+from mbd_ros.jobs.learn.scales import Samples, Scales
+from mbd_ros.scene.built_scene import Scene
+
+_STATES = 100  # random ones, to tell which numbers a motion can show
+_PRIORS = (0.003, 0.01, 0.03, 0.1, 0.3)  # of the usual torque: deviations of that of a number
+_LEAST = 1.0e-4  # of the usual torque: the smallest deviation of what is measured
+_ROUNDS = 3  # deviations follow from the fit, and the fit from them
+_SMALLEST = 0.1  # of the inertia of a motion: what is left of it at least
+
+
+class Known(NamedTuple):
+    """What samples say of linear numbers.
+
+    Attributes:
+        triangle: Of each joint R of [columns, torque, torque of the network], shape (m, k, k).
+        count: Samples, shape (1,).
+        usual: Root mean square of the efforts [N·m or N], shape (m,).
+    """
+
+    triangle: Array
+    count: Array
+    usual: Array
+
+    def and_also(self, other: "Known") -> "Known":
+        """What both say; sizes are those of the first."""
+        both = np.concatenate([self.triangle, other.triangle], axis=1)
+        return Known(np.linalg.qr(both, mode="r"), self.count + other.count, self.usual)
+
+
+class Columns:
+    """Columns of base parameters and friction, of the joints of a model.
+
+    Args:
+        scene: The scene.
+        joints: Names, in the order of the model.
+        scales: Of the model.
+    """
+
+    def __init__(self, scene: Scene, joints: Sequence[str], scales: Scales) -> None:
+        self._regressor = Regressor(scene.robot, scene.inverse_dynamics())
+        self._scales, self._joints = scales, tuple(joints)
+        self._mine = [self._regressor.labels.index(name) for name in joints]
+        self._states = random_states(scene.robot, scene.couplings, _STATES)
+        rows = self._regressor.rows(*self._states)[:, self._mine]
+        self._chosen = base_parameters(rows.reshape(-1, rows.shape[2])).chosen
+        self._bodies = [body.name for body in moving_bodies(scene.robot)]
+        self._given = parameters_of(scene.robot.model).ravel()
+
+    def of(self, samples: Samples) -> Array:
+        """Torque of a unit of each number, shape (n, m, p)."""
+        inertial = self._regressor.rows(samples.y, samples.w, samples.push)
+        curves = curves_of(samples.v, self._scales)
+        n, m, size = curves.shape
+        rubbing = np.zeros((n, m, m, size + 1))
+        for j in range(m):
+            rubbing[:, j, j, :size], rubbing[:, j, j, size] = curves[:, j], 1.0
+        rows = inertial[:, self._mine][:, :, self._chosen]
+        return np.concatenate([rows, rubbing.reshape(n, m, -1)], axis=2)
+
+    def torque(self, samples: Samples, numbers: Array) -> Array:
+        """Torque of the numbers [N·m or N], shape (n, m)."""
+        if not numbers.any():
+            return np.zeros_like(samples.q)
+        return np.asarray(self.of(samples) @ numbers)
+
+    def none(self) -> Array:
+        """Numbers that change nothing, shape (p,)."""
+        return np.zeros(len(self._chosen) + len(self._joints) * (len(CURVES) + 2))
+
+    def known(self, samples: Samples, left: Array, said: Array) -> Known:
+        """What samples say.
+
+        Args:
+            samples: The samples.
+            left: Efforts without the torques of the scene, shape (n, m).
+            said: Torque of the network, same shape.
+        """
+        whole = np.concatenate([self.of(samples), left[..., None], said[..., None]], axis=2)
+        k = whole.shape[2]
+        R = np.zeros((whole.shape[1], k, k))
+        for j, rows in enumerate(whole.transpose(1, 0, 2)):
+            found = np.linalg.qr(rows, mode="r")
+            R[j, : len(found)] = found
+        usual = np.sqrt(np.mean(np.square(samples.effort), axis=0))
+        usual = np.maximum(usual, _LEAST * max(float(usual.max()), 1.0e-300))
+        return Known(R, np.array([float(samples.count)]), usual)
+
+    def written(self, said: About, numbers: Array) -> About:
+        """The corrections as a file has them."""
+        r, m = len(self._chosen), len(self._joints)
+        inertial = np.zeros(self._regressor.size)
+        inertial[self._chosen] = numbers[:r]
+        ten = inertial.reshape(-1, COUNT)
+        bodies = {name: ten[i].tolist() for i, name in enumerate(self._bodies) if ten[i].any()}
+        friction = {}
+        for j, own in enumerate(numbers[r:].reshape(m, len(CURVES) + 2)):
+            bends = self._scales.v[j] * np.array(CURVES)
+            pairs = np.column_stack([own[: len(CURVES)], bends]).ravel()
+            viscous = own[len(CURVES)] / self._scales.v[j]
+            friction[self._joints[j]] = [float(own[-1]), float(viscous), *pairs.tolist()]
+        return said._replace(bodies=bodies, friction=friction)
+
+    def possible(self, numbers: Array) -> Array:
+        """The same numbers, inertias drawn to 0 until every motion has inertia."""
+        found, r = numbers.copy(), len(self._chosen)
+        added = np.zeros(self._regressor.size)
+        added[self._chosen] = numbers[:r]
+        y, w, _ = self._states
+        units = np.eye(w.shape[1])
+        rows = np.array([self._regressor.rows(y, 0.0 * w, 0.0 * w + unit) for unit in units])
+        rows -= self._regressor.rows(y, 0.0 * w, 0.0 * w)
+        M, more = (np.moveaxis(rows @ values, 0, 2) for values in (self._given, added))
+        least = 0.0
+        for own, other in zip(M, more, strict=True):
+            try:
+                L = np.linalg.cholesky(own)
+            except np.linalg.LinAlgError:  # something moves that has no inertia
+                continue
+            turned = np.linalg.solve(L, np.linalg.solve(L, other).T)
+            least = min(least, float(np.linalg.eigvalsh(0.5 * (turned + turned.T))[0]))
+        found[:r] *= min(1.0, (1.0 - _SMALLEST) / max(-least, 1.0e-300))
+        return found
+
+
+def fitted(known: Known, with_network: bool) -> Array:
+    """Linear numbers that make the torques most likely, shape (p,).
+
+    Args:
+        known: What samples say.
+        with_network: Whether the network acts beside them.
+    """
+    p, usual = known.triangle.shape[2] - 2, known.usual[:, None]
+    A = known.triangle[:, :, :p] / usual[..., None]
+    b = known.triangle[:, :, p] - with_network * known.triangle[:, :, p + 1]
+    b = b / usual
+    count = float(known.count[0])
+    size = np.sqrt(np.square(A).sum(axis=(0, 1)) / (count * len(b)))
+    size = np.maximum(size, 1.0e-9 * float(size.max(initial=1.0e-300)))
+    A, deviation = A / size, np.full(len(b), 0.05)
+    for _ in range(_ROUNDS):
+        weighed = (A / deviation[:, None, None]).reshape(-1, p)
+        numbers = _most_likely(weighed, (b / deviation[:, None]).ravel())
+        left = np.sqrt(np.square(b - A @ numbers).sum(axis=1) / count)
+        deviation = np.maximum(left, _LEAST)
+    return np.asarray(numbers / size)
+
+
+def _most_likely(A: Array, b: Array) -> Array:
+    """Numbers of A x = b with unit noise, under the prior with the largest evidence."""
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    seen = U.T @ b
+    noise = [1.0 + np.square(prior * s) for prior in _PRIORS]
+    evidence = [-np.sum(np.log(one)) - np.sum(np.square(seen) / one) for one in noise]
+    best = int(np.argmax(evidence))
+    found: Array = Vt.T @ (_PRIORS[best] ** 2 * s / noise[best] * seen)
+    return found
