@@ -69,12 +69,14 @@ class PhaseExits:
         """What a contact that is held may not do."""
         pulls = Check(
             f"{name}_pulls",
+            name,
             self._normal(name, at),
             f"contact {name} is held and would pull; accepted: a guard lift_off: {name}, or "
             "held: false",
         )
         slips = Check(
             f"{name}_slips",
+            name,
             self._room(name, at),
             f"contact {name} is held and would slip, friction {self._friction(name):g} is too "
             f"small; accepted: a guard slip: {name}, more friction, or held: false",
@@ -83,6 +85,7 @@ class PhaseExits:
             return [("pulls", pulls), ("slips", slips)]
         tips = Check(
             f"{name}_tips",
+            name,
             Footing(self._contacts[name], self._along(name, at, 0)),
             f"contact {name} is held and would tip about an edge of its points; accepted: a "
             f"guard tip: {name}, or held: false",

@@ -174,7 +174,7 @@ class _Systems:
         ]
         at = {row.name: i for i, row in enumerate(system.multiplier_rows)}
         demands = [
-            Demand(check.crossing, check.failure)
+            Demand(name, check.crossing, check.failure)
             for name in sorted(stay)
             for _, check in self.exits.checks(name, at)
         ]

@@ -72,6 +72,7 @@ class PredictTask:
         mesh: The first mesh.
         tolerance: Of the error between nodes, relative.
         accuracy: Of the conditions of optimality.
+        grip: Share of the friction of contacts that phases hold which the motion may use.
         iterations: Largest number of iterations on a mesh.
         guess: Quantity -> values at equal times; straight lines between them.
         guess_file: Motion to begin with; None for straight lines.
@@ -89,6 +90,7 @@ class PredictTask:
     mesh: MeshTask = field(default_factory=MeshTask)
     tolerance: float = 1.0e-7
     accuracy: float = 1.0e-10
+    grip: float = 1.0
     iterations: int = 1000
     guess: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     guess_file: Path | None = None
@@ -142,6 +144,7 @@ def _task(
     mesh: Mapping[str, Any] | None = None,
     tolerance: Annotated[float, Within(1.0e-13, 1.0)] = 1.0e-7,
     accuracy: Annotated[float, Within(1.0e-13, 1.0e-2)] = 1.0e-10,
+    grip: Annotated[float, Within(0.0, 1.0)] = 1.0,
     iterations: Count = 1000,
     guess: Any = None,
     starts: Annotated[int, Within(1, 1000)] = 1,
@@ -181,6 +184,7 @@ def _task(
         schema.call(MeshTask, dict(mesh or {}), f"{where}.mesh"),
         tolerance,
         accuracy,
+        grip,
         iterations,
         lines,
         file,

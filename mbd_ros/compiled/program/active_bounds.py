@@ -5,8 +5,9 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.compiled.program.block import Block
-from mbd_ros.compiled.program.motion_phase import PATH, MotionPhase
+from mbd_ros.compiled.program.motion_phase import MotionPhase
 from mbd_ros.compiled.program.motion_program import Solution
+from mbd_ros.compiled.program.path_bounds import PATH
 from mbd_ros.compiled.program.phase_forms import MOTION
 from mbd_ros.core.prediction.structure import Status
 from mbd_ros.core.state import Array

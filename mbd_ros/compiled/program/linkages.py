@@ -4,12 +4,14 @@ At an impact M (v+ - v-) = J' p and J v+ = 0 of all rows that hold after it, wit
 """
 
 from collections.abc import Sequence
+from copy import copy
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.program.block import Block, Form
+from mbd_ros.compiled.program.held_limits import held_limits
 from mbd_ros.compiled.program.motion_phase import MotionPhase
 from mbd_ros.compiled.program.phase_equations import PhaseEquations
 from mbd_ros.compiled.program.quantities import Quantity
@@ -21,7 +23,7 @@ from mbd_ros.core.prediction.unknowns import Unknowns
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-GUARD, RESET, PERIODIC = "guard", "reset", "periodic"
+GUARD, RESET, PERIODIC, IMPACT = "guard", "reset", "periodic", "impact"
 
 
 class ResetLinkage:
@@ -34,6 +36,11 @@ class ResetLinkage:
         way: The exit that is taken.
         striking: Equations of the impact; None without one.
         travel: Places in q that go on as they like, where a motion repeats.
+        grip: Share of the friction of contacts that their impulses may use.
+
+    Attributes:
+        name: Of the exit.
+        count: Unknowns of its own.
 
     Raises:
         ModelError: A guard that looks at forces, or coordinates that differ.
@@ -47,6 +54,8 @@ class ResetLinkage:
         way: Exit,
         striking: PhaseEquations | None,
         travel: Sequence[int] = (),
+        *,
+        grip: float = 1.0,
     ) -> None:
         self._before, self._numbers, self.name = before, numbers, way.name
         sizes = before.equations.sizes
@@ -55,19 +64,38 @@ class ResetLinkage:
         self._impulses = 0 if striking is None else striking.sizes.m
         self._guard = self._guard_form(way)
         self._reset = self._reset_form(way.reset.relabelling, striking, travel)
+        self._limits = [] if striking is None else _kept(striking, way.reset.demands, grip)
+        self._is_limited, self.count = False, sizes.nv + self._impulses
 
     def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
         """As `Linkage.blocks`."""
         before, after = (every[i] for i in self._numbers)
         nodes = np.array([before.mesh.intervals])
         ends = self._before.forms.node_places(before, nodes)
-        end = first + self._before.equations.sizes.nv + self._impulses
+        end = first + self.count
         own = np.arange(first, end)[:, None]
         found = [Block(RESET, self._reset, np.vstack((ends, after.state[0][:, None], own)), _ENDS)]
+        places = own[self._before.equations.sizes.nv :]
+        for name, form, lower, upper in self._limits if self._is_limited else ():
+            found.append(Block(f"{IMPACT}: {name}", form, places, None, lower, upper))
         if self._guard is not None:
             form, upper = self._guard
             found.append(Block(GUARD, form, ends, _ENDS, [0.0, -np.inf], [0.0, upper]))
         return found, end
+
+    def limited(self) -> "ResetLinkage":
+        """As `Linkage.limited`."""
+        found = copy(self)
+        found._is_limited = True
+        return found
+
+    def keeps_limits(self, own: Array) -> bool:
+        """As `Linkage.keeps_limits`."""
+        if self._is_limited:
+            return True
+        p = own[self._before.equations.sizes.nv :]
+        values = [(float(form.values(p, [])), *ends) for _, form, *ends in self._limits]
+        return all(low <= value <= high for value, low, high in values)
 
     def _guard_form(self, way: Exit) -> tuple[Form, float] | None:
         """The guard, and its rate against the direction in which it acts."""
@@ -107,7 +135,12 @@ class EqualEnds:
         first: The first one.
         pairs: At the end, and at the beginning.
         signs: What values at the beginning count as, one a pair.
+
+    Attributes:
+        count: Unknowns of its own: none.
     """
+
+    count = 0
 
     def __init__(
         self,
@@ -131,6 +164,14 @@ class EqualEnds:
         ends = self._last.forms.node_places(last, np.array([last.mesh.intervals]))
         places = np.vstack((ends, every[0].state[0][:, None]))
         return [Block(PERIODIC, self._form, places, _ENDS)], first
+
+    def limited(self) -> "EqualEnds":
+        """As `Linkage.limited`."""
+        return self
+
+    def keeps_limits(self, own: Array) -> bool:
+        """As `Linkage.keeps_limits`."""
+        return True
 
 
 _ENDS: Array = np.ones((1, 1))  # share of the duration
@@ -173,6 +214,13 @@ def _struck(striking: PhaseEquations, symbols: Any, after: Any, p: Any) -> Any:
     taken = [symbols["t"], symbols["q"], after, symbols["z"]]
     rows = ca.vertcat(balance, striking.velocities)
     return ca.substitute([rows], given, taken)[0]
+
+
+def _kept(striking: PhaseEquations, demands: Sequence[Any], grip: float) -> list[Any]:
+    """Name, form and bounds of what impulses of contacts that are held keep."""
+    p = ca.SX.sym("P", striking.sizes.m)
+    limits = held_limits(striking, demands, p, grip)
+    return [(one.name, Form(p, ca.SX(0, 1), one.value), *range_) for one, range_ in limits]
 
 
 def _relabelled(names: Relabelling | None, q: Any, v: Any, z: Any) -> tuple[Any, Any, Any]:

@@ -1,13 +1,15 @@
 """A phase of a motion in a program: its equations, bounds, conditions at ends and costs."""
 
-from collections.abc import Mapping
-from functools import cached_property
+from collections.abc import Mapping, Sequence
+from copy import copy
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.program.block import Block
+from mbd_ros.compiled.program.end_conditions import END, START, EndConditions
+from mbd_ros.compiled.program.path_bounds import PATH, PathBounds
 from mbd_ros.compiled.program.phase_costs import PhaseCosts, Reference
 from mbd_ros.compiled.program.phase_equations import LETTERS, PhaseEquations
 from mbd_ros.compiled.program.phase_forms import CLOSING, MOTION, PhaseForms
@@ -19,9 +21,8 @@ from mbd_ros.core.prediction.unknowns import PhaseMotion, Unknowns
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-START, END, PATH = "start", "end", "bounds"
+Limits = Sequence[tuple[Quantity, Range]]
 _AT_NODES = "qvz"
-_ROUNDING = 1.0e-9
 
 
 class MotionPhase:
@@ -33,12 +34,14 @@ class MotionPhase:
         parameters: Numbers of the parameters among the unknowns.
         references: What is tracked.
         closes_start: Whether rows have to hold at the beginning, since nothing else makes them.
+        limits: Bounds besides those of the problem, all the time, that `limited` adds.
 
     Attributes:
         problem: As given.
         equations: As given.
         quantities: By name.
         forms: Equations on meshes.
+        limits: As given.
 
     Raises:
         ModelError: A quantity that is not there, or has no value where it is asked for.
@@ -52,19 +55,34 @@ class MotionPhase:
         references: Reference | None = None,
         *,
         closes_start: bool = False,
+        limits: Limits = (),
     ) -> None:
         self.problem, self.equations = problem, equations
         self.quantities = Quantities(equations)
         self.forms = PhaseForms(equations, parameters)
         self._parameters, self._closes_start = parameters, closes_start
         self._costs = PhaseCosts(problem, self.quantities, self.forms, references)
-        self._bounds = self._ranges(problem.bounds, (*LETTERS, "p"))
+        self._bounds = [_as_row(*one) for one in self._ranges(problem.bounds, (*LETTERS, "p"))]
         self._bounds += [(one, (0.0, np.inf)) for one in stops(equations)]
-        self._start = self._ranges(problem.start, _AT_NODES)
-        self._end = self._ranges(problem.end, _AT_NODES)
-        self._path = self._rows_of(self._bounds, at_points=True)
-        self._at_start = self._rows_of(self._start, at_points=False)
-        self._at_end = self._rows_of(self._end, at_points=False)
+        start, end = (self._ranges(one, _AT_NODES) for one in (problem.start, problem.end))
+        self._ends = EndConditions(START, start, self.forms), EndConditions(END, end, self.forms)
+        self._path = PathBounds([one for one in self._bounds if not one[0].letter], self.forms)
+        self.limits = PathBounds(limits, self.forms)
+
+    def limited(self) -> "MotionPhase":
+        """The phase with its limits among its bounds."""
+        found = copy(self)
+        found._bounds = [*self._bounds, *self.limits.bounds]
+        found._path = PathBounds([*self._path.bounds, *self.limits.bounds], self.forms)
+        found.limits = PathBounds([], self.forms)
+        return found
+
+    def keeps_limits(self, motion: PhaseMotion, shares: Array, p: Array) -> bool:
+        """Whether a motion keeps the limits at its points and some places between them."""
+        if not self.limits.bounds:
+            return True
+        sets = (motion.mesh.shares, motion.points), (shares, motion.at(shares))
+        return all(self.limits.holds(self._times(at), letters, p) for at, letters in sets)
 
     def bound(self, unknowns: Unknowns, lower: Array, upper: Array) -> None:
         """Write what bounds say of single unknowns."""
@@ -81,26 +99,9 @@ class MotionPhase:
                     f"bounds of {one.name}: {low:g} .. {high:g} leave nothing of "
                     f"{lower[places].max():g} .. {upper[places].min():g}"
                 )
-        for ranges, node in ((self._start, 0), (self._end, -1)):
-            for one, (low, high) in ranges:
-                if one.letter:
-                    at = unknowns.nodes[one.letter][node, one.index]
-                    self._refuse_outside(one.name, node, (low, high), (lower[at], upper[at]))
-                    if low == high:
-                        lower[at] = upper[at] = low
-                    else:
-                        lower[at], upper[at] = max(lower[at], low), min(upper[at], high)
+        for conditions in self._ends:
+            conditions.write(unknowns, lower, upper)
         lower[unknowns.duration], upper[unknowns.duration] = self.problem.duration
-
-    @staticmethod
-    def _refuse_outside(name: str, node: int, asked: Range, bounds: Range) -> None:
-        slack = _ROUNDING * (1.0 + max(map(abs, asked)))
-        if asked[0] > bounds[1] + slack or asked[1] < bounds[0] - slack:
-            where = "start" if node == 0 else "end"
-            raise ModelError(
-                f"{name} {asked[0]:g} .. {asked[1]:g} at the {where} contradicts its bounds "
-                f"{bounds[0]:g} .. {bounds[1]:g}"
-            )
 
     def check(self) -> None:
         """Refuse bounds that contradict each other.
@@ -134,14 +135,14 @@ class MotionPhase:
         """
         ends = [np.concatenate([one[key] for key in "qvz"]) for one in self.state_bounds(unknowns)]
         found = np.hstack([values[key] for key in "qvz"])
-        if self._derived is None:
-            return found, ends[0], ends[1]
-        times = self._spans(shares)
-        given = [times, *(values[key].T for key in LETTERS), np.tile(p[:, None], len(shares))]
-        more = self._derived.map(len(shares))(*given).full().T
-        _, low, high, _ = self._path
-        lower, upper = np.append(ends[0], low), np.append(ends[1], high)
+        more = self._path.values(self._times(shares), values, p)
+        lower, upper = np.append(ends[0], self._path.lower), np.append(ends[1], self._path.upper)
         return np.hstack((found, more)), lower, upper
+
+    def _times(self, shares: Array) -> Array:
+        """Of places, if the duration is in the middle of its range."""
+        low, high = self.problem.duration
+        return shares * 0.5 * (low + high)
 
     def names_held(self) -> list[str]:
         """Names of the quantities of `held_between`."""
@@ -149,21 +150,6 @@ class MotionPhase:
         counts = {"q": sizes.nq, "v": sizes.nv, "z": sizes.nz}
         own = [self.quantities.name_of(key, i) for key in counts for i in range(counts[key])]
         return own + [one.name for one, _ in self.derived_bounds]
-
-    def _spans(self, shares: Array) -> Array:
-        """Times of places, if the duration is in the middle of its range."""
-        low, high = self.problem.duration
-        return (shares * 0.5 * (low + high))[None, :]
-
-    @cached_property
-    def _derived(self) -> Any:
-        """(t, letters, p) -> quantities of `bounds` that are no unknowns; None without any."""
-        if not self.derived_bounds:
-            return None
-        symbols = self.equations.symbols
-        given = [symbols[key] for key in ("t", *LETTERS, "p")]
-        values = ca.vertcat(*(one.value for one, _ in self.derived_bounds))
-        return ca.Function("derived", given, [ca.densify(values)])
 
     def usual(self, motion: PhaseMotion, p: Array) -> Usual:
         """Usual sizes near a motion."""
@@ -192,18 +178,9 @@ class MotionPhase:
             sizes: Their usual sizes.
             rows: Usual sizes of the equations at a point.
         """
-        forms, mesh = self.forms, unknowns.mesh
-        found = forms.blocks(unknowns, sizes, rows)
-        points = forms.point_places(unknowns)
-        if self._path is not None:
-            form, lower, upper, size = self._path
-            found.append(Block(PATH, form, points, mesh.shares[None], lower, upper, size))
-        for name, given, node in ((START, self._at_start, 0), (END, self._at_end, mesh.intervals)):
-            if given is not None:
-                form, lower, upper, size = given
-                places = forms.node_places(unknowns, np.array([node]))
-                share = np.array([[float(node > 0)]])
-                found.append(Block(name, form, places, share, lower, upper, size))
+        found = [*self.forms.blocks(unknowns, sizes, rows), *self._path.blocks(unknowns, sizes)]
+        for conditions in self._ends:
+            found += conditions.blocks(unknowns)
         return [*found, *self._closed_start(unknowns), *self._costs.blocks(unknowns)]
 
     def _closed_start(self, unknowns: Unknowns) -> list[Block]:
@@ -217,11 +194,10 @@ class MotionPhase:
         return [Block(CLOSING, form, places, np.zeros((1, 1)))]
 
     def _ranges(self, given: Mapping[str, Range], letters: Any) -> list[tuple[Quantity, Range]]:
-        found = []
-        for name, (low, high) in given.items():
-            for one in self.quantities.find(name):
-                self._refuse_elsewhere(one, letters)
-                found.append((one, (low, high)))
+        pairs = ((one, r) for name, r in given.items() for one in self.quantities.find(name))
+        found = list(pairs)
+        for one, _ in found:
+            self._refuse_elsewhere(one, letters)
         return found
 
     def _refuse_elsewhere(self, one: Quantity, letters: Any) -> None:
@@ -232,37 +208,23 @@ class MotionPhase:
             raise ModelError(f"{one.name} has no value at an end alone; accepted: in bounds")
 
     def _places(self, unknowns: Unknowns, one: Quantity) -> Numbers:
-        if one.letter == "p":
-            return self._parameters[[one.index]]
-        if not one.letter:
-            return np.zeros(0, dtype=np.intp)
+        if one.letter in ("", "p"):
+            return self._parameters[[one.index] if one.letter else []]
         places = unknowns.points[one.letter][:, one.index]
         if one.letter in _AT_NODES:
             return np.concatenate((unknowns.nodes[one.letter][:, one.index], places))
         return places
 
-    def _rows_of(self, ranges: Any, *, at_points: bool) -> Any:
-        """A form of quantities that are no unknowns, its bounds and usual sizes."""
-        derived = [(one, bounds) for one, bounds in ranges if not one.letter]
-        if not derived:
-            return None
-        values = ca.vertcat(*(one.value for one, _ in derived))
-        low, high = (np.array(each) for each in zip(*(b for _, b in derived), strict=True))
-        finite = [np.where(np.isfinite(one), np.abs(one), 0.0) for one in (low, high)]
-        size = np.maximum(np.maximum(*finite), 1.0)
-        form = (self.forms.point_form if at_points else self.forms.node_form)(values)
-        return form, low, high, size
-
     @property
     def derived_bounds(self) -> list[tuple[Quantity, Range]]:
         """Quantities of `bounds` that are no unknowns."""
-        return [(one, bounds) for one, bounds in self._bounds if not one.letter]
+        return self._path.bounds
 
     def row_name(self, block: str, row: int) -> str:
         """What a row of a block at points or nodes is, for messages."""
-        ranges = {PATH: self._bounds, START: self._start, END: self._end}.get(block)
-        if ranges is not None:
-            one, (low, high) = [each for each in ranges if not each[0].letter][row]
+        derived = {PATH: self._path.bounds} | {one.name: one.derived for one in self._ends}
+        if block in derived:
+            one, (low, high) = derived[block][row]
             accepted = f"{low:g}" if low == high else f"{low:g} .. {high:g}"
             return f"{one.name} {accepted}"
         sizes, name_of = self.equations.sizes, self.quantities.name_of
@@ -274,3 +236,8 @@ class MotionPhase:
         if block == MOTION:
             return f"rate of {name_of('z', row - sizes.nv - sizes.m)}"
         return "closure of loops" if block == CLOSING else ""
+
+
+def _as_row(one: Quantity, bounds: Range) -> tuple[Quantity, Range]:
+    """A multiplier as a quantity that is no unknown: its bounds hold between points too."""
+    return (one._replace(letter="", index=-1) if one.letter == "l" else one), bounds

@@ -6,28 +6,39 @@ from typing import NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.compiled.program.block import Block, Form
 from mbd_ros.compiled.program.ipopt import Solved, Tell, solve
 from mbd_ros.compiled.program.motion_phase import MotionPhase
+from mbd_ros.compiled.program.moving_knots import bound_widths, moving_knots
 from mbd_ros.compiled.program.phase_equations import LETTERS
 from mbd_ros.compiled.program.sparse_program import SparseProgram
+from mbd_ros.core.prediction.error_estimate import looked_at
 from mbd_ros.core.prediction.problem import Range
 from mbd_ros.core.prediction.unknowns import PhaseMotion, Unknowns
 from mbd_ros.core.state import Array
 
 _NODES = "qvz"
-_NARROWEST = 1.0e-3  # of its width: what a node that moves leaves of an interval
-
-Bools = NDArray[np.bool_]
+_TWICE = {"perturb_always_cd": "yes"}  # conditions that depend on each other do no harm
 
 
 class Linkage(Protocol):
-    """What links ends of phases."""
+    """What links ends of phases.
+
+    Attributes:
+        count: Unknowns of its own.
+    """
+
+    count: int
 
     def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
         """Blocks of rows, and the number after their own unknowns, which begin with `first`."""
+
+    def limited(self) -> "Linkage":
+        """With what impulses have to keep among the rows."""
+
+    def keeps_limits(self, own: Array) -> bool:
+        """Whether its own unknowns keep that."""
 
 
 class Parameter(NamedTuple):
@@ -53,6 +64,7 @@ class Solution(NamedTuple):
         solved: What the solver leaves.
         program: What was solved.
         unknowns: Of each phase.
+        links: Unknowns of the linkages, such as impulses.
     """
 
     motions: tuple[PhaseMotion, ...]
@@ -60,6 +72,7 @@ class Solution(NamedTuple):
     solved: Solved
     program: SparseProgram
     unknowns: tuple[Unknowns, ...]
+    links: Array
 
 
 class MotionProgram:
@@ -91,6 +104,7 @@ class MotionProgram:
         cost_size: float = 1.0,
         most: int = 1000,
         is_near: bool = False,
+        links: Array | None = None,
         tell: Tell | None = None,
     ) -> Solution:
         """Solve on the meshes of guesses.
@@ -102,17 +116,42 @@ class MotionProgram:
             cost_size: Usual size of the cost.
             most: Largest number of iterations.
             is_near: Whether the guesses solve a program that is nearly this one.
+            links: Unknowns of the linkages to begin with; None for zeros.
             tell: See `ipopt.solve`.
         """
-        program, guess, every, (lower, upper) = self.assembled(guesses, parameters, cost_size)
+        assembled = self.assembled(guesses, parameters, cost_size, links)
+        program, guess, every, (lower, upper) = assembled
         more = {"accuracy": accuracy, "most": most, "is_near": is_near}
+        more["options"] = _TWICE if self._linkages and not is_near else {}
         solved = solve(program, guess, lower, upper, tell=tell, **more)  # type: ignore[arg-type]
         motions = tuple(read(solved.x, unknowns) for unknowns in every)
         found = solved.x[: len(self.parameters)]
-        return Solution(motions, found, solved, program, tuple(every))
+        own = solved.x[every[-1].end :]
+        return Solution(motions, found, solved, program, tuple(every), own)
+
+    def limited(self) -> "MotionProgram":
+        """The program with all limits of phases and linkages among its rows."""
+        phases = [one.limited() for one in self.phases]
+        linkages = [one.limited() for one in self._linkages]
+        return MotionProgram(phases, self.parameters, self._begin, linkages)
+
+    def keeps_limits(self, solution: Solution) -> bool:
+        """Whether a solution keeps the limits that it did not know."""
+        first, p = 0, solution.parameters
+        for linkage in self._linkages:
+            own = solution.links[first : first + linkage.count]
+            if not linkage.keeps_limits(own):
+                return False
+            first += linkage.count
+        pairs = zip(self.phases, solution.motions, strict=True)
+        return all(phase.keeps_limits(one, looked_at(one)[0], p) for phase, one in pairs)
 
     def assembled(
-        self, guesses: Sequence[PhaseMotion], parameters: Array, cost_size: float
+        self,
+        guesses: Sequence[PhaseMotion],
+        parameters: Array,
+        cost_size: float,
+        links: Array | None = None,
     ) -> tuple[SparseProgram, Array, list[Unknowns], tuple[Array, Array]]:
         """The program on the meshes of guesses, the guess, the unknowns and their bounds."""
         every = self._numbered(guesses)
@@ -128,7 +167,7 @@ class MotionProgram:
             usual.write(sizes, unknowns)
             rows.append(usual.rows)
         blocks, end = self._blocks(every, sizes, rows)
-        guess = np.append(guess, np.zeros(end - len(guess)))
+        guess = np.append(guess, np.zeros(end - len(guess)) if links is None else links)
         sizes = np.append(sizes, np.ones(end - len(sizes)))
         lower, upper = self._bounds(every, end)
         known = np.where(lower == upper, lower, np.nan)
@@ -149,7 +188,7 @@ class MotionProgram:
         for phase, unknowns, usual in zip(self.phases, every, rows, strict=True):
             found += phase.blocks(unknowns, sizes, usual)
             if unknowns.mesh.free.any():
-                found += _moving_knots(unknowns)
+                found += moving_knots(unknowns)
         for one, following in itertools.pairwise(every):
             places = np.array([[one.begin, one.duration, following.begin]]).T
             found.append(Block("times", _following(), places))
@@ -164,11 +203,7 @@ class MotionProgram:
         for i, one in enumerate(self.parameters):
             lower[i], upper[i] = one.bounds
         for i, (phase, unknowns) in enumerate(zip(self.phases, every, strict=True)):
-            mesh = unknowns.mesh
-            lower[unknowns.widths] = upper[unknowns.widths] = mesh.widths
-            moving = np.flatnonzero(_moves(mesh.free))
-            lower[unknowns.widths[moving]] = _NARROWEST * mesh.widths[moving]
-            upper[unknowns.widths[moving]] = 1.0
+            bound_widths(unknowns, lower, upper)
             if i == 0:
                 lower[unknowns.begin] = upper[unknowns.begin] = self._begin
             phase.bound(unknowns, lower, upper)
@@ -195,26 +230,6 @@ def read(x: Array, unknowns: Unknowns) -> PhaseMotion:
     points["d"] = x[unknowns.steps]
     bases = unknowns.sizes.bases
     return PhaseMotion(mesh, x[unknowns.begin], x[unknowns.duration], nodes, points, bases)
-
-
-def _moves(free: Bools) -> Bools:
-    """Which widths are unknown: those beside a knot that may move."""
-    moving: Bools = free | np.concatenate(([False], free[:-1]))
-    return moving
-
-
-def _moving_knots(unknowns: Unknowns) -> list[Block]:
-    """Intervals between nodes that stand keep their sum."""
-    found, run = list[Block](), list[int]()
-    for i, moves in enumerate(unknowns.mesh.free):
-        run.append(i)
-        if not moves and len(run) > 1:
-            x = ca.SX.sym("w", len(run))
-            total = float(unknowns.mesh.widths[run].sum())
-            form = Form(x, ca.SX(0, 1), ca.sum1(x))
-            found.append(Block("knots", form, unknowns.widths[run][:, None], None, total, total))
-        run = run if moves else []
-    return found
 
 
 def _following() -> Form:

@@ -40,11 +40,13 @@ class Check(NamedTuple):
 
     Attributes:
         name: Of its guard.
+        contact: Whose number it is.
         crossing: The number.
         failure: What it means that it does not.
     """
 
     name: str
+    contact: str
     crossing: Crossing
     failure: str
 

@@ -49,10 +49,12 @@ class Demand(NamedTuple):
     """What impulses of a contact that is held have to keep.
 
     Attributes:
+        contact: The contact.
         crossing: A number that may not be negative.
         failure: What it means that it is.
     """
 
+    contact: str
     crossing: Crossing
     failure: str
 
@@ -89,6 +91,7 @@ class PhaseReset:
     Attributes:
         striking: As given.
         relabelling: As given.
+        demands: As given.
     """
 
     def __init__(
@@ -101,7 +104,7 @@ class PhaseReset:
         demands: Sequence[Demand] = (),
     ) -> None:
         self._size, self._slots, self._touching = size, slots, touching
-        self._demands = tuple(demands)
+        self.demands = tuple(demands)
         self.striking, self.relabelling = striking, relabelling
         self._level = None if striking is None else VelocityLevel(striking)
 
@@ -133,7 +136,7 @@ class PhaseReset:
         """Refuse impulses that a contact which is held cannot exert."""
         assert self.striking is not None
         slack = _SLACK * float(np.abs(p).max(initial=0.0))
-        for crossing, failure in self._demands:
+        for _, crossing, failure in self.demands:
             self.striking.k.refresh(x.q, x.v, crossing.reads)
             if crossing.value(self.striking.k, x, p) < -slack:
                 raise SolveError(f"t = {x.t:.9g} s, impact: {failure}")

@@ -90,7 +90,7 @@ def look_at(problem: Problem, number: int, solution: "Solution", task: PredictTa
     off = beyond_bounds(*held)
     places = np.hstack([unknowns.points[letter] for letter in "qvz"])
     sizes = 1.0 + np.abs(solved.x[places]).max(axis=0, initial=0.0)
-    sizes = np.append(sizes, np.ones(off.shape[1] - len(sizes)))
+    sizes = np.append(sizes, 1.0 + np.abs(held[0][:, len(sizes) :]).max(axis=0, initial=0.0))
     pulls = np.hstack((np.abs(solved.bound_forces[places]), path_forces(solution, number)))
     pulls = np.add.reduceat(pulls, motion.mesh.first_points[:-1], axis=0)
     saved = pulls * off / (abs(solved.cost) or 1.0)

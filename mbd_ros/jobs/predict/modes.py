@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.events.phase import Exit
+from mbd_ros.core.events.phase import Check, Exit
+from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Mode, State
 from mbd_ros.errors import ModelError
 from mbd_ros.scene.built_scene import Scene
@@ -34,6 +35,14 @@ class PhaseMode(NamedTuple):
     mode: Mode
     phased: PhasedSystem | None = None
 
+    @property
+    def demands(self) -> tuple[Check, ...]:
+        """What contacts that the phase holds have to keep."""
+        if self.phased is None:
+            return ()
+        found: tuple[Check, ...] = self.phased.phases[self.number].demands
+        return found
+
 
 def modes_of(scene: Scene, task: PredictTask) -> list[PhaseMode]:
     """The systems of the phases of a task.
@@ -61,10 +70,22 @@ def modes_of(scene: Scene, task: PredictTask) -> list[PhaseMode]:
 
 
 def started(scene: Scene, mode: PhaseMode) -> State:
-    """The consistent state near that in which the scene starts, in what is integrated."""
-    simulation = scene.simulation()
-    y = simulation.start(scene.initial)
-    return mode.system.reduce(simulation.system.expand(y))
+    """The consistent state near that in which the scene starts, in what is integrated.
+
+    Forces of contacts that its phase holds are those of inputs that nobody knows yet.
+    """
+    simulation, x = scene.simulation(), scene.initial
+    if mode.phased is None:
+        return mode.system.reduce(simulation.system.expand(simulation.start(x)))
+    system = mode.phased.during(x)
+    alone = simulation_of_phase(simulation, system, simulation.dt)
+    return mode.system.reduce(system.expand(alone.start(mode.phased.inward(x))))
+
+
+def simulation_of_phase(whole: Simulation, system: System, dt: float) -> Simulation:
+    """A simulation of one phase, without its guards."""
+    free = system.with_loads(system.loads.watched_by(()))
+    return Simulation(free, whole.integrator, whole.stabilization, dt)
 
 
 def _mode(system: System) -> Mode:
@@ -84,12 +105,13 @@ def linkages_of(
     """
     found = list["Linkage"]()
     for i in range(len(phases) - 1):
-        found.append(_linkage(scene, modes, phases, (i, i + 1), ()))
+        found.append(_linkage(scene, modes, phases, (i, i + 1), (), task.grip))
     is_cyclic = bool(task.periodic or task.symmetric)
     if is_cyclic and modes[-1].phased is not None:
         joints = {joint.name: joint.q for joint in scene.robot.joints}
         travel = [joints[scene.robot.joint(name).name] for name in task.travel]
-        found.append(_linkage(scene, modes, phases, (len(phases) - 1, 0), travel))
+        ends = len(phases) - 1, 0
+        found.append(_linkage(scene, modes, phases, ends, travel, task.grip))
     elif is_cyclic:
         found.append(_equal_ends(task, phases))
     return found
@@ -101,6 +123,7 @@ def _linkage(
     phases: "Sequence[MotionPhase]",
     numbers: tuple[int, int],
     travel: Sequence[int],
+    grip: float,
 ) -> Any:
     from mbd_ros.compiled.program.linkages import ResetLinkage
     from mbd_ros.compiled.program.phase_equations import PhaseEquations
@@ -110,11 +133,12 @@ def _linkage(
     if one.phased is None:
         raise ModelError("several phases of a scene without phases; accepted: section phases")
     way = _exit(one.phased, one.number, other.number)
+    joined = phases[numbers[0]], phases[numbers[1]]
     striking, equations = way.reset.striking, None
     if striking is not None:
         names = list(phases[0].equations.equations.parameters)
         equations = PhaseEquations(traced(scene, striking, names, _mode(striking)).equations)
-    return ResetLinkage(phases[numbers[0]], phases[numbers[1]], numbers, way, equations, travel)
+    return ResetLinkage(*joined, numbers, way, equations, travel, grip=grip)
 
 
 def _exit(phased: PhasedSystem, number: int, following: int) -> Exit:

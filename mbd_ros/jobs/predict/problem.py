@@ -36,6 +36,7 @@ class Problem(NamedTuple):
         guesses: Of each phase.
         parameters: Values to begin with.
         modes: The systems of the phases.
+        links: Unknowns of what links phases, such as impulses; None for zeros.
     """
 
     scene: Scene
@@ -43,6 +44,7 @@ class Problem(NamedTuple):
     guesses: list[PhaseMotion]
     parameters: Any
     modes: "list[PhaseMode]"
+    links: Any = None
 
 
 def driven(scene: Scene) -> Scene:
@@ -86,6 +88,7 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
 def _phases(
     scene: Scene, task: PredictTask, modes: Sequence[PhaseMode], first: State
 ) -> "list[MotionPhase]":
+    from mbd_ros.compiled.program.held_limits import held_limits
     from mbd_ros.compiled.program.motion_phase import MotionPhase
     from mbd_ros.compiled.program.phase_equations import PhaseEquations
     from mbd_ros.scene.symbolic_parts import traced
@@ -109,7 +112,12 @@ def _phases(
         numbers = np.arange(len(names), dtype=np.intp)
         is_open = i == 0 and not task.periodic and not task.symmetric
         references = references_of(asked.goals)
-        found.append(MotionPhase(problem, equations, numbers, references, closes_start=is_open))
+        limits = held_limits(equations, mode.demands, equations.symbols["l"], task.grip)
+        found.append(
+            MotionPhase(
+                problem, equations, numbers, references, closes_start=is_open, limits=limits
+            )
+        )
     return found
 
 

@@ -10,7 +10,7 @@ from mbd_ros.core.prediction.unknowns import PhaseMotion
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError
-from mbd_ros.jobs.predict.modes import PhaseMode
+from mbd_ros.jobs.predict.modes import PhaseMode, simulation_of_phase
 from mbd_ros.scene.built_scene import Scene
 
 _SHARE = 1.0e-3  # of the error between nodes: what integration may add to it
@@ -85,9 +85,7 @@ def _phase_again(whole: Simulation, mode: PhaseMode, motion: PhaseMotion) -> Rep
     simulation = whole
     if mode.phased is not None:  # without its guards: a phase ends at its time
         system = whole.system.systems[mode.number]  # type: ignore[attr-defined]
-        free = system.with_loads(system.loads.watched_by(()))
-        parts = whole.integrator, whole.stabilization, motion.duration
-        simulation = Simulation(free, *parts)
+        simulation = simulation_of_phase(whole, system, motion.duration)
     start = (motion.nodes[key][0] for key in "qvz")
     x = simulation.system.expand(State(motion.begin, *start))
     if mode.mode:

@@ -48,7 +48,8 @@ def search(scene: Scene, task: PredictTask, say: Say) -> list[Step]:
         problem = problem_of(scene.with_(numbers) if numbers else scene, task)
         if found:
             last = found[-1].found.solution
-            problem = problem._replace(guesses=list(last.motions), parameters=last.parameters)
+            more = {"parameters": last.parameters, "links": last.links}
+            problem = problem._replace(guesses=list(last.motions), **more)
             best = solve(problem, task, say)
         else:
             best = _best(problem, task, say)

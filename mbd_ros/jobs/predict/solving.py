@@ -35,6 +35,7 @@ class Found(NamedTuple):
         lines: One a mesh, for people.
         passings: Bounds that are passed between nodes, the worst one first.
         is_interrupted: Whether somebody ended it between two meshes.
+        keeps_limits: Whether contacts that are held neither pull nor slip, as far as is known.
     """
 
     problem: Problem
@@ -45,6 +46,7 @@ class Found(NamedTuple):
     lines: list[str]
     passings: tuple[Passing, ...] = ()
     is_interrupted: bool = False
+    keeps_limits: bool = True
 
     @property
     def is_converged(self) -> bool:
@@ -71,12 +73,25 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
         say: Is told a line a mesh.
     """
     with interruptible() as interruption:
-        return _solve(problem, task, say, interruption)
+        found = _refined(problem, task, say, interruption)
+        if found.keeps_limits or found.is_interrupted:
+            return found
+        say("contacts that are held would pull or slip: once more within what they can exert")
+        limited = problem._replace(program=problem.program.limited())
+        near, last = limited, found.solution
+        if last.solved.is_good:
+            near = limited._replace(
+                guesses=list(last.motions), parameters=last.parameters, links=last.links
+            )
+        again = _refined(near, task, say, interruption)
+        if near is not limited and not again.is_converged and not again.is_interrupted:
+            again = _refined(limited, task, say, interruption)
+        return again._replace(keeps_limits=True, iterations=found.iterations + again.iterations)
 
 
-def _solve(problem: Problem, task: PredictTask, say: Say, interruption: Interruption) -> Found:
+def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interruption) -> Found:
     guesses, parameters, cost_size = list(problem.guesses), problem.parameters, 1.0
-    total, lines, is_near = 0, list[str](), False
+    total, lines, is_near, links = 0, list[str](), False, problem.links
     for round_ in range(task.mesh.refinements + 1):
         solution = problem.program.solve(
             guesses,
@@ -85,6 +100,7 @@ def _solve(problem: Problem, task: PredictTask, say: Say, interruption: Interrup
             cost_size=cost_size,
             most=task.iterations,
             is_near=is_near,
+            links=links,
             tell=_Watcher(round_, interruption),
         )
         solved = solution.solved
@@ -101,6 +117,8 @@ def _solve(problem: Problem, task: PredictTask, say: Say, interruption: Interrup
         passings = tuple(sorted(every, key=lambda one: -one.severity))
         is_fine = worst <= task.tolerance and not any(one.passed.any() for one in looks)
         found = Found(problem, solution, errors, is_fine, total, lines, passings)
+        if not problem.program.keeps_limits(solution):
+            return found._replace(keeps_limits=False)
         if (is_fine and all(one.is_settled for one in looks)) or not solved.is_good:
             return found
         if interruption.is_asked:
@@ -109,7 +127,7 @@ def _solve(problem: Problem, task: PredictTask, say: Say, interruption: Interrup
             moved(motion, next_mesh(motion.mesh, error, look, task.tolerance))
             for motion, error, look in zip(solution.motions, errors, looks, strict=True)
         ]
-        parameters = solution.parameters
+        parameters, links = solution.parameters, solution.links
         cost_size, is_near = abs(solved.cost) or 1.0, True
     return found
 

@@ -1,0 +1,124 @@
+"""Contacts that a phase holds in a predicted motion: they push, within their friction cones."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+import yaml
+from prediction_scenes import EFFORT, drives, joint, link, urdf
+
+import mbd_ros as mbd
+from mbd_ros.core.state import State
+from mbd_ros.errors import NotConvergedError
+from mbd_ros.scene.locate import find_task
+
+HOLDS = {"stance": {"contacts": ["sole"], "until": {"late": {"time": 10.0}}, "then": "stance"}}
+WEIGHT = 3.0 * 9.81
+
+
+def standing(axis, friction=1.0):
+    """A body of 2 kg that slides on a foot of 1 kg, which is free to move and held."""
+    robot = urdf(
+        link("rail_x", 0.001),
+        link("rail_y", 0.001),
+        link("foot", 1.0),
+        link("body", 2.0),
+        joint("x", "prismatic", "ground", "rail_x", "1 0 0"),
+        joint("y", "prismatic", "rail_x", "rail_y", "0 1 0"),
+        joint("z", "prismatic", "rail_y", "foot", "0 0 1"),
+        joint("slide", "prismatic", "foot", "body", axis),
+    )
+    between = [{"frame": "foot", "points": [[0.0, 0.0, 0.0]]}, {"half_space": [0, 0, 1]}]
+    sole = {"name": "sole", "type": "rigid", "between": between, "friction": friction}
+    sections = {"contacts": [sole], "phases": HOLDS, "actuators": drives("slide")}
+    return mbd.scene_from(sections, urdf=robot)
+
+
+def on_a_floor(axis):
+    """The same body on a foot that cannot move."""
+    robot = urdf(link("body", 2.0), joint("slide", "prismatic", "ground", "body", axis))
+    return mbd.scene_from({"actuators": drives("slide")}, urdf=robot)
+
+
+@pytest.mark.parametrize(
+    ("axis", "friction", "duration", "force", "named"),
+    [
+        ("0 0 1", 1.0, 0.35, [-9.81, None], "normal force of sole"),
+        ("0.6 0.8 0", 0.3, 0.72, [-0.3 * WEIGHT, 0.3 * WEIGHT], "friction cone of sole"),
+    ],
+)
+def test_a_foot_neither_pulls_nor_slips(axis, friction, duration, force, named):
+    """As with a fixed foot and a force that can neither lift it nor push it away."""
+    task = {"duration": duration, "goals": EFFORT, "tolerance": 1.0e-4}
+    task["end"] = {"slide.position": 0.4, "slide.velocity": 0.0}
+    result = standing(axis, friction).predict(task)
+    alone = on_a_floor(axis).predict(task | {"bounds": {"slide.effort": force}})
+    assert result.metadata["cost"] == pytest.approx(alone.metadata["cost"], rel=1.0e-5)
+    assert alone.metadata["active"]
+    assert named in [name for name, *_ in result.metadata["active"]]
+
+
+def test_a_ground_that_is_too_slippery_is_named():
+    """The least force that gets there in time is twice what friction holds."""
+    task = {"duration": 0.72, "goals": EFFORT}
+    task["end"] = {"slide.position": 0.4, "slide.velocity": 0.0}
+    with pytest.raises(NotConvergedError, match="blocks: friction cone of sole is at its lower"):
+        standing("0.6 0.8 0", 0.1).predict(task)
+
+
+# ---------------------------------------------------------------------- a step of five links
+
+
+def rougher(friction):
+    """The biped on another ground."""
+    scene = mbd.load_scene("five_link_biped")
+    soles = [dict(one) | {"friction": friction} for one in scene.entries["contacts"]]
+    return scene.with_(contacts=soles)
+
+
+def step_task():
+    task = yaml.safe_load(find_task("biped_step").read_text())["predict"]
+    return task | {"tolerance": 1.0e-4}
+
+
+@cache
+def on_ice():
+    """Its step on a ground with a friction of 0.25; freely it uses 0.355."""
+    return rougher(0.25).predict(step_task())
+
+
+def test_a_step_stays_in_the_cone_between_nodes_too():
+    samples, metadata = on_ice()["samples"], on_ice().metadata
+    share = np.abs(samples["left_sole.friction_x"]) / samples["left_sole.normal"]
+    assert share.max() == pytest.approx(0.25, abs=1.0e-3)
+    assert metadata["cost"] == pytest.approx(622.188, rel=1.0e-4)
+    assert metadata["replay"] < 1.0e-5
+    assert "friction cone of left_sole forwards" in [name for name, *_ in metadata["active"]]
+
+
+def test_its_impact_is_one_that_the_simulator_accepts():
+    """Whose check of impulses knows nothing of the program."""
+    scene, samples = rougher(0.25), on_ice()["samples"]
+    joints, phased = scene.robot.joints, scene.phased_system()
+    q, v = np.zeros(scene.robot.model.nq), np.zeros(scene.robot.model.nv)
+    for one in joints:
+        q[one.q], v[one.v] = (samples[f"{one.name}.{key}"][-1] for key in ("position", "velocity"))
+    struck = phased.phases[0].exits[0].reset.after(State(0.7, q, v))
+    begin = [samples[f"{one.name}.velocity"][0] for one in joints]
+    np.testing.assert_allclose(struck.x.v[[one.v for one in joints]], begin, atol=1.0e-6)
+
+
+def test_a_share_of_friction_is_kept_and_conditions_may_say_the_same_twice():
+    """The height of the foot at the start follows from the strike."""
+    task = step_task() | {"grip": 0.5}
+    task["start"] = task["start"] | {"left_foot.position.z": 0.0}
+    found = rougher(0.5).predict(task).metadata
+    assert found["cost"] == pytest.approx(on_ice().metadata["cost"], rel=1.0e-6)
+
+
+def test_a_bound_of_a_force_is_kept_between_nodes_and_named():
+    task = step_task()
+    task["bounds"] = task["bounds"] | {"left_sole.normal": [190.0, None]}
+    result = rougher(0.8).predict(task)
+    assert result["samples"]["left_sole.normal"].min() == pytest.approx(190.0, abs=0.1)
+    assert "left_sole.normal" in [name for name, *_ in result.metadata["active"]]
