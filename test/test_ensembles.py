@@ -92,6 +92,18 @@ def test_two_bonds_divide_their_energy_by_degrees_of_freedom():
     assert degrees_of_freedom(ParticleSpace(scene.system().kinds), scene.initial.q) == 7
 
 
+@pytest.mark.soak
+@pytest.mark.timeout(900)
+def test_langevin_dynamics_divide_the_energy_alike():
+    """Of two bonds, with close to a million independent samples."""
+    asked = {"kinetics": True, "method": "langevin", "dt": 0.01, "friction": 20.0, "seed": 11}
+    averages = sampled(**asked, chains=512, samples=2000, warmup=40, steps=10)["averages"]
+    for part, degrees in (("translation", 3), ("rotation", 3), ("internal", 1)):
+        off = averages[f"trimer.{part}.mean"][0] - 0.5 * degrees
+        assert abs(off) < 3.0 * averages[f"trimer.{part}.standard_error"][0]
+        assert averages[f"trimer.{part}.effective_samples"][0] > 5.0e5
+
+
 def test_velocities_of_shake_are_too_warm_by_the_forces_of_the_bonds():
     """The part normal to the rows carries h^2/8 f . M^-1 f, f the forces of the rows."""
     scene, h = mbd.load_scene("particles/trimer"), 0.025

@@ -10,7 +10,9 @@ from mbd_ros import load_scene, scene_from
 from mbd_ros.core.estimation.estimator import Measurement
 from mbd_ros.core.estimation.horizon_chain import HorizonChain
 from mbd_ros.core.estimation.horizon_window import HorizonProgram
+from mbd_ros.core.estimation.lag_window import LagWindow
 from mbd_ros.core.estimation.mechanism_process import MechanismProcess
+from mbd_ros.core.estimation.smoother import lagged
 from mbd_ros.core.estimation.tracker import Taken, Tracker
 from mbd_ros.errors import DataError, SceneError
 from mbd_ros.estimators.extended_kalman import ExtendedKalman
@@ -189,6 +191,40 @@ def test_late_samples_go_where_they_belong():
     assert np.array_equal(tracker.belief.x.q, expected.x.q)
     assert np.array_equal(tracker.belief.P, expected.P)
     assert tracker.take(-1.0, samples[0][1], None) is Taken.OLD
+
+
+def test_estimates_that_wait_are_those_of_the_smoother_with_that_lag():
+    """Each comes once, in the order of time, also where samples come in another one."""
+    found, rng, lag = prepared("sliding_knee"), np.random.default_rng(7), 6.0 * STEP
+    samples = [(t, v) for t, _, v in simulated(found, 40, rng)]
+    tracker, filtered = tracked(found), []
+    for t, values in samples:
+        tracker.take(t, values, None)
+        filtered.append(found.estimator.sample)
+    expected = lagged(found.process, filtered, lag + 1e-6)
+    order = np.arange(40)
+    order[10:14], order[20:25] = order[[11, 12, 13, 10]], order[[21, 22, 23, 24, 20]]
+    told = waited(found, [samples[k] for k in order], lag)
+    assert len(told) == 40 - 6
+    for one, other in zip(told, expected, strict=False):
+        assert one.t == other.t
+        assert np.array_equal(one.x.q, other.x.q)
+        assert np.array_equal(one.P, other.P)
+    odd = np.arange(len(samples[0][1])) % 2 == 1
+    halves = [(t, np.where(odd == i, v, np.nan)) for t, v in samples for i in (True, False)]
+    once = waited(found, halves, lag)
+    assert [one.t for one in once] == [one.t for one in told]
+    assert np.abs(once[20].x.q - told[20].x.q).max() < 1e-6
+
+
+def waited(found, samples, lag):
+    """Beliefs of samples that have waited for a lag."""
+    tracker, told = tracked(found), []
+    tracker.window = LagWindow(found.process, lag)
+    for t, values in samples:
+        tracker.take(t, values, None)
+        told += [one.belief for one in tracker.window.due()]
+    return told
 
 
 @pytest.mark.parametrize("kind", ["extended_kalman", "moving_horizon"])

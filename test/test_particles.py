@@ -52,6 +52,22 @@ def test_rattle_and_shake_of_a_particle_on_a_sphere(h):
     assert central.q == pytest.approx(q, abs=1e-12)
 
 
+@pytest.mark.soak
+@pytest.mark.timeout(900)
+def test_energy_of_a_million_steps_on_a_sphere():
+    """P01: the largest error of the energy [J], and no drift from the first tenth to the last."""
+    scene = mbd.load_scene("particles/sphere")
+    system, stepper, x = scene.system(), scene.stepper(dt=0.01), scene.initial
+    start, errors = system.energy(x), np.empty(1_000_000)
+    for k in range(len(errors)):
+        x = stepper.step(x, None)
+        errors[k] = 0.5 * x.v.dot(x.v) + 9.81 * x.q[2] - start
+    assert np.abs(errors).max() == pytest.approx(0.0014439425609529266, abs=1e-9)
+    tenths = errors.reshape(10, -1).mean(axis=1)
+    assert abs(tenths[-1] - tenths[0]) <= 1e-6
+    assert abs(system.residual(0.0, x.q)[0]) <= 1e-14
+
+
 @pytest.mark.parametrize("name", SCENES)
 def test_an_embedded_scene_keeps_its_rows_and_its_energy(name):
     """Rows to rounding; the error of the energy is of second order in the step."""

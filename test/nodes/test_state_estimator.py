@@ -148,6 +148,20 @@ def test_dropouts_disorder_and_a_frozen_encoder_stay_bounded_and_are_named(start
     assert max(errors[5:]) < 0.3 and errors[-1] < 3e-3
 
 
+def test_estimates_wait_for_the_lag(started):
+    """The estimate of a sample comes 50 ms later, with its own stamp: five samples."""
+    machine, rng = started(lag=0.05, timeout=60.0), np.random.default_rng(3)
+    for i in range(60):
+        machine.send(i, MEASURED, 1e-3 * rng.standard_normal(3))
+        machine.probe.spin_for(0.003)
+    machine.probe.spin_until(lambda: len(machine.states) == 55)
+    stamps = [read_time(message.header.stamp) for message in machine.states]
+    assert stamps == [machine.begin + i * STEP for i in range(55)]
+    errors = [machine.error(i, message) for i, message in enumerate(machine.states)]
+    assert max(errors[1:]) < 4e-3
+    assert machine.health().level == OK
+
+
 def is_frozen(health):
     return health.name == NAME and "hip_flexion.position: frozen" in health.message
 

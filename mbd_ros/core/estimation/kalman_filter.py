@@ -5,6 +5,7 @@ from typing import Any
 from mbd_ros.core.estimation.estimator import Belief, Estimator, Measurement
 from mbd_ros.core.estimation.kalman_update import Update, updated
 from mbd_ros.core.estimation.process import Observation, Process, Transition, moved
+from mbd_ros.core.estimation.smoother import Filtered
 from mbd_ros.core.state import Array
 
 
@@ -58,6 +59,12 @@ class KalmanFilter(Estimator):
         self._u = self.going = None
         self.predicted = super().begin(x, P, t)
         return self.predicted
+
+    @property
+    def sample(self) -> Filtered:
+        """The newest sample, for smoothers."""
+        F = None if self.going is None else self.going.F
+        return Filtered(F, self.predicted, self.belief)
 
     def remember(self) -> Any:
         """As `Estimator.remember`."""

@@ -8,6 +8,8 @@ import numpy as np
 
 from mbd_ros.core.estimation.estimator import Belief, Estimator, Measurement
 from mbd_ros.core.estimation.innovation_watch import InnovationWatch
+from mbd_ros.core.estimation.kalman_filter import KalmanFilter
+from mbd_ros.core.estimation.lag_window import LagWindow
 from mbd_ros.core.estimation.sensor_faults import SensorFaults
 from mbd_ros.core.estimation.sensor_set import SensorSet
 from mbd_ros.core.state import Array
@@ -61,6 +63,7 @@ class Tracker:
         faults: What is wrong with sensors.
         watch: The newest innovations.
         restarts: How often the estimator began anew, since nothing fitted.
+        window: Of samples whose estimates wait, for a Kalman filter; None without.
     """
 
     def __init__(
@@ -81,6 +84,7 @@ class Tracker:
         self._usual = np.inf  # s, between samples
         self._prior: Array = estimator.belief.P
         self._steps = list[_Step]()
+        self.window: LagWindow | None = None
         self.faults.forget(estimator.belief.t)
 
     @property
@@ -119,6 +123,8 @@ class Tracker:
         memory, faults, self._usual = before
         self.estimator.recall(memory)
         self.faults.recall(faults)
+        if self.window is not None:
+            self.window.back_to(self.belief.t)
 
     def _step(self, t: float, values: Array, u: Array | None) -> None:
         estimator = self.estimator
@@ -140,6 +146,8 @@ class Tracker:
         self.watch.add(belief.innovation)
         if (self.faults.refused() & (known > _DETERMINED * noise)).any():
             self._widen(t, values)
+        if self.window is not None and isinstance(estimator, KalmanFilter):
+            self.window.add(estimator.sample, u)
 
     def _go_on(self, t: float, values: Array, u: Array | None, dt: float) -> None:
         """To the time of the next sample, by what is known of the time until then."""

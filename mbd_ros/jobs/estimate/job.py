@@ -175,20 +175,18 @@ def _filtered(
         estimator.begin(y, estimation.prior, float(times[0]))
     tracker = Tracker(estimator, process.sensors, memory=0.0)
     tracker.watch = InnovationWatch(len(times))
-    samples, faults, restarts = list[Filtered](), dict[str, tuple[str, int]](), 0
+    samples, faults = list[Filtered](), dict[str, tuple[str, int]]()
     for k, t in progress(enumerate(times.tolist()), len(times), "estimate"):
         try:
             tracker.take(t, values[k], inputs[k])
         except MbdError as error:
             raise type(error)(f"{where}: at t = {t:.9g} s: {error}") from error
-        going = getattr(estimator, "going", None)
-        is_new = going is None or tracker.restarts > restarts
-        restarts = tracker.restarts
-        predicted = getattr(estimator, "predicted", estimator.belief)
-        samples.append(Filtered(None if is_new else going.F, predicted, estimator.belief))
+        belief = estimator.belief
+        is_filter = isinstance(estimator, KalmanFilter)
+        samples.append(estimator.sample if is_filter else Filtered(None, belief, belief))
         for name, what in tracker.faults.found().items():
             faults[name] = what, faults.get(name, ("", 0))[1] + 1
-    return Estimated(estimation, samples, inputs, tracker.watch, faults, restarts)
+    return Estimated(estimation, samples, inputs, tracker.watch, faults, tracker.restarts)
 
 
 def _task(scene: Scene, task: EstimateTask | str | Path) -> EstimateTask:

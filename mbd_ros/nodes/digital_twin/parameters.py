@@ -2,10 +2,10 @@
 
 from mbd_ros.nodes.inverse_dynamics.parameters import tunable
 from mbd_ros.nodes.shell.parameters import Parameter
-from mbd_ros.nodes.state_estimator.parameters import PARAMETERS as ESTIMATOR
+from mbd_ros.nodes.state_estimator.parameters import ESTIMATION
 
 PARAMETERS = (
-    *ESTIMATOR,
+    *ESTIMATION,
     Parameter(
         "reactions",
         list[str],

@@ -15,8 +15,7 @@ from mbd_ros.core.model.joints import child_link
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.nodes.digital_twin.hypotheses import hypothesis_systems
 from mbd_ros.nodes.shell.parameters import ParameterError
-from mbd_ros.nodes.state_estimator.messages import EstimateMessages
-from mbd_ros.nodes.state_estimator.pipeline import EstimatorPipeline, refuse_unknown
+from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline, refuse_unknown
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
@@ -93,10 +92,10 @@ class TwinPipeline(EstimatorPipeline):
             if self._naming is not None:
                 self._naming.forget()
 
-    def answer(self, stamp: int, sample: JointSample) -> EstimateMessages | Taken:
+    def answer(self, stamp: int, sample: JointSample) -> Answer:
         """As `EstimatorPipeline.answer`, and watches what is measured."""
         answer = super().answer(stamp, sample)
-        if isinstance(answer, EstimateMessages):
+        if not isinstance(answer, Taken):
             self._watch(sample)
         return answer
 

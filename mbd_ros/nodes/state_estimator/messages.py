@@ -4,7 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.estimation.tracker import Tracker
+from mbd_ros.core.estimation.estimator import Belief
+from mbd_ros.core.estimation.innovation_watch import Consistency
 from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.state import NONE, Array, Evaluation, State
 from mbd_ros.jobs.estimate.estimation import Estimation
@@ -38,7 +39,7 @@ class EstimateMessages(NamedTuple):
 
 
 class EstimateWriter:
-    """Writes what a tracker believes.
+    """Writes what is believed.
 
     Args:
         estimation: What is estimated.
@@ -64,29 +65,32 @@ class EstimateWriter:
         numbers = [*estimation.process.sensors.names, "nis", "mean_nis", "correlation"]
         self._innovations = MultiArrayCdrWriter(len(numbers), numbers)
         self._x: State = estimation.process.start
-        self._u: Array = NONE
+        self._u: Array | None = NONE
         self._now: Evaluation | None = None
         self._whole: Array | None = None
 
     @property
     def now(self) -> Evaluation:
-        """The equations of motion at the newest estimate."""
+        """The equations of motion at the estimate that was written last."""
         if self._now is None:
             self._now = self._estimation.process.evaluate(self._x, self._u)
         return self._now
 
-    def write(self, tracker: Tracker, stamp: int, u: Array) -> EstimateMessages:
-        """The messages of the newest estimate.
+    def write(
+        self, belief: Belief, consistency: Consistency, stamp: int, u: Array | None
+    ) -> EstimateMessages:
+        """The messages of an estimate.
 
         Args:
-            tracker: Has it.
+            belief: The estimate.
+            consistency: Of the newest innovations.
             stamp: Of the estimate [ns].
             u: Inputs there.
 
         Raises:
             MessageError: A number is not finite.
         """
-        system, belief = self._system, tracker.belief
+        system = self._system
         x = system.expand(belief.x)
         self._x, self._u, self._now = x, u, None
         system.k.refresh(x.q, x.v, system.loads.reads)
@@ -111,7 +115,7 @@ class EstimateWriter:
         deviations = self._deviations.write(spread.tolist())
         return EstimateMessages(
             *(stamp, states, disturbance, forces, deviations, parameters, covariance),
-            self._judged(tracker),
+            self._judged(belief, consistency),
         )
 
     def _rows(self, y: State) -> Array:
@@ -127,8 +131,8 @@ class EstimateWriter:
             self._whole = rows
         return rows
 
-    def _judged(self, tracker: Tracker) -> bytes:
-        innovation, consistency = tracker.belief.innovation, tracker.watch.consistency()
+    def _judged(self, belief: Belief, consistency: Consistency) -> bytes:
+        innovation = belief.innovation
         assert innovation is not None
         values = np.where(np.isfinite(innovation.values), innovation.normalized, 0.0)
         nis = innovation.squared / max(innovation.freedom, 1)

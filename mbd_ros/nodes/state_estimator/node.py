@@ -15,8 +15,9 @@ from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
 from mbd_ros.nodes.shell.sensor_messages import SensorMessage
 from mbd_ros.nodes.shell.wrenches import read_load
 from mbd_ros.nodes.simulator.commands import command_reader
+from mbd_ros.nodes.state_estimator.messages import EstimateMessages
 from mbd_ros.nodes.state_estimator.parameters import PARAMETERS
-from mbd_ros.nodes.state_estimator.pipeline import EstimateMessages, EstimatorPipeline
+from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline
 from msg_adapters.diagnostics import OK
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample
@@ -34,7 +35,7 @@ class StateEstimatorNode(JointStateNode):
 
     def build(self, description: str | None) -> None:
         """Build the scene."""
-        self._pipeline = EstimatorPipeline(self.parameters, description)
+        self._pipeline = EstimatorPipeline(self.parameters, description, self.parameters.lag)
         self._failures = 0
 
     def configure_core(self) -> None:
@@ -79,7 +80,7 @@ class StateEstimatorNode(JointStateNode):
         """Estimate the state at one joint state."""
         return self._answer(partial(self._pipeline.answer, stamp, sample))
 
-    def _answer(self, ask: Callable[[], EstimateMessages | Taken]) -> SampleStatus | None:
+    def _answer(self, ask: Callable[[], Answer]) -> SampleStatus | None:
         try:
             answer = ask()
         except (SolveError, DivergedError) as error:
@@ -88,8 +89,9 @@ class StateEstimatorNode(JointStateNode):
         self._failures = 0
         if isinstance(answer, Taken):
             return SampleStatus.OLD if answer is Taken.OLD else None
-        self.publish_answer(answer)
-        self.note_answer(answer.stamp)
+        for one in answer:
+            self.publish_answer(one)
+        self.note_answer(self._pipeline.newest)
         return None
 
     def publish_answer(self, answer: EstimateMessages) -> None:

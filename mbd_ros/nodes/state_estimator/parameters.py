@@ -19,7 +19,7 @@ _TASK = (
 TRACKER = ("memory", "patience", "max_age", "gate", "agility")
 _HORIZON = ("samples", "iterations")
 
-PARAMETERS = (
+ESTIMATION = (
     *(parameter for parameter in INVERSE_DYNAMICS if parameter.name in _SHARED),
     Parameter(
         "estimator",
@@ -97,6 +97,18 @@ PARAMETERS = (
         low=1,
         high=1_000_000,
         read_only=False,
+    ),
+)
+PARAMETERS = (
+    *ESTIMATION,
+    Parameter(
+        "lag",
+        float,
+        "Time after a sample during which measurements still count for its estimate, which comes "
+        "that much later; with extended_kalman [s].",
+        0.0,
+        low=0.0,
+        high=10.0,
     ),
 )
 

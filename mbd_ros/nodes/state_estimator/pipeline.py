@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.estimation.lag_window import LagWindow
 from mbd_ros.core.estimation.tracker import Taken, Tracker
 from mbd_ros.core.model.wrenches import WrenchBuffer
 from mbd_ros.core.state import NANOSECOND, Array
@@ -24,6 +25,7 @@ from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader
 
+Answer = list[EstimateMessages] | Taken  # estimates that are due, or what became of the sample
 _REWIND = 1.0  # s, by which wrenches are older where time begins anew
 
 
@@ -44,9 +46,11 @@ class EstimatorPipeline:
     Args:
         values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
+        lag: Time that estimates wait for later measurements [s].
 
     Attributes:
         scene: The scene, as it was given.
+        newest: Stamp of the newest sample that was used [ns].
         estimation: Scene, process and estimator.
         joints: Which joints the newest joint state carried.
         reader: Serialized joint states to samples.
@@ -54,7 +58,10 @@ class EstimatorPipeline:
         wrenches: Newest samples of external wrenches, by name.
     """
 
-    def __init__(self, values: Any, description: str | None) -> None:
+    def __init__(self, values: Any, description: str | None, lag: float = 0.0) -> None:
+        if lag and values.estimator != "extended_kalman":
+            raise ParameterError(f"lag: {values.estimator} has none; accepted: extended_kalman")
+        self._lag = lag
         self.scene = scene = load_scene(values.scene, description)
         self._values = values
         names = [joint.name for joint in scene.robot.joints]
@@ -90,7 +97,7 @@ class EstimatorPipeline:
     def forget(self) -> None:
         """Forget the past: the next joint state is the first one."""
         self.tracker: Tracker | None = None
-        self._origin, self._debt, self._late = 0, 0.0, 0
+        self.newest, self._origin, self._debt, self._late = 0, 0, 0.0, 0
         self._command = self._inputs.copy()
         for buffer in self.wrenches.values():
             buffer.clear()
@@ -99,7 +106,7 @@ class EstimatorPipeline:
         """Take the commands of all actuators, in the order of the scene."""
         self._command = np.concatenate((values, self._command[len(values) :]))
 
-    def answer(self, stamp: int, sample: JointSample) -> EstimateMessages | Taken:
+    def answer(self, stamp: int, sample: JointSample) -> Answer:
         """Messages for a joint state, or what became of it.
 
         Args:
@@ -132,7 +139,7 @@ class EstimatorPipeline:
             u[slot] = 0.0 if wrench is None else wrench
         return u
 
-    def answer_sensor(self, name: str, stamp: int, measured: Array) -> EstimateMessages | Taken:
+    def answer_sensor(self, name: str, stamp: int, measured: Array) -> Answer:
         """Messages for a sensor with a topic of its own; nothing before the first joint state.
 
         Raises:
@@ -145,9 +152,7 @@ class EstimatorPipeline:
         values[self._slices[name]] = measured
         return self._taken(stamp, values, self._newest_u, self.joints.absent)
 
-    def _taken(
-        self, stamp: int, values: Array, u: Array, velocity: Array
-    ) -> EstimateMessages | Taken:
+    def _taken(self, stamp: int, values: Array, u: Array, velocity: Array) -> Answer:
         if self.tracker is None:
             self._begin(stamp, values, velocity)
         assert self.tracker is not None
@@ -160,7 +165,15 @@ class EstimatorPipeline:
         taken = self.tracker.take(t, values, u)
         spent = perf_counter() - began
         self._debt = max(0.0, self._debt + spent - max(t - before, 0.0))
-        return self._writer.write(self.tracker, stamp, u) if taken is Taken.USED else taken
+        if taken is not Taken.USED:
+            return taken
+        self.newest, consistency = stamp, self.tracker.watch.consistency()
+        if self.tracker.window is None:
+            return [self._writer.write(self.tracker.belief, consistency, stamp, u)]
+        due = self.tracker.window.due()
+        stamps = [self._origin + round(one.belief.t / NANOSECOND) for one in due]
+        pairs = zip(due, stamps, strict=True)
+        return [self._writer.write(one.belief, consistency, at, one.u) for one, at in pairs]
 
     def _begin(self, stamp: int, values: Array, velocity: Array) -> None:
         found, kept = self.estimation, self._values
@@ -173,6 +186,8 @@ class EstimatorPipeline:
         found.estimator.begin(y, found.prior, 0.0)
         options = {name: getattr(kept, name) for name in TRACKER}
         self.tracker = Tracker(found.estimator, found.process.sensors, **options)
+        if self._lag:
+            self.tracker.window = LagWindow(found.process, self._lag)
 
     def held(self) -> Sequence[str]:
         """Joints that nothing gives: none, all are estimated."""
