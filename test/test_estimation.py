@@ -205,11 +205,11 @@ def test_estimates_that_wait_are_those_of_the_smoother_with_that_lag():
     order = np.arange(40)
     order[10:14], order[20:25] = order[[11, 12, 13, 10]], order[[21, 22, 23, 24, 20]]
     told = waited(found, [samples[k] for k in order], lag)
-    assert len(told) == 40 - 6
-    for one, other in zip(told, expected, strict=False):
-        assert one.t == other.t
-        assert np.array_equal(one.x.q, other.x.q)
-        assert np.array_equal(one.P, other.P)
+    assert [one.t for one in told] == [one.t for one in expected[:34]]
+    without = {*range(4, 8), *range(14, 19)}  # of a sample that was still missing, 10 or 20
+    for k, (one, other) in enumerate(zip(told, expected, strict=False)):
+        assert np.array_equal(one.x.q, other.x.q) is (k not in without)
+        assert np.array_equal(one.P, other.P) is (k not in without)
     odd = np.arange(len(samples[0][1])) % 2 == 1
     halves = [(t, np.where(odd == i, v, np.nan)) for t, v in samples for i in (True, False)]
     once = waited(found, halves, lag)
