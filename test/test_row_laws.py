@@ -208,6 +208,7 @@ OTHERS = (  # what unknowns of a program are limited to, and where a file begins
     "mbd_ros/jobs/predict",
     "mbd_ros/jobs/loads",
     "mbd_ros/scene/predict_task.py",
+    "mbd_ros/scene/predict_phases.py",
 )
 OPTIONS = {"batch", "task"}  # of `mbd-ros inverse --bounds`: whether, not which
 

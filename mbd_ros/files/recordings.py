@@ -125,19 +125,23 @@ def _body(table: Table, where: str, name: str) -> BodyMotion:
     return BodyMotion(name, with_steady_signs(pose), twist, acceleration)
 
 
-def read_columns(source: Source, names: Sequence[str]) -> Array | None:
+def read_columns(
+    source: Source, names: Sequence[str], joints: Sequence[str] = (), sliding: Collection[str] = ()
+) -> Array | None:
     """Columns of the samples by name, shape (n, len(names)), NaN where there is none.
 
     Args:
         source: As for `read_motion`.
         names: Of the columns.
+        joints: Those that a storage may name by its own labels.
+        sliding: Those of them that slide.
 
     Returns:
         None where the source has none of them; a bag has none.
     """
     if not names or (not isinstance(source, Result) and is_bag(source)):
         return None
-    return _columns(_samples(source, ()).table, list(names))
+    return _columns(_samples(source, (), joints, sliding).table, list(names))
 
 
 def name_of(source: Source) -> str:
@@ -203,10 +207,7 @@ def _columns(table: Table, names: list[str]) -> Array | None:
 
 
 def read_wrenches(
-    source: Source,
-    names: Mapping[str, str | None],
-    *,
-    dropped: Counter[str] | None = None,
+    source: Source, names: Mapping[str, str | None], *, dropped: Counter[str] | None = None
 ) -> dict[str, WrenchSamples]:
     """Measured wrench of every load, about the origin of the frame it is given in.
 

@@ -50,7 +50,7 @@ def _goal(entry: Any, where: str, folder: Path | None, taken: set[str]) -> Goal:
         name = f"{entry.get('name', kind)}_{number}"
     if isinstance(options.get("function"), str):
         options["function"] = _function_of(options["function"], f"{where}.function")
-    if "file" in options:
+    if options.get("file"):
         from mbd_ros.scene.locate import find_file
 
         options["file"] = find_file(folder or Path(), options["file"], f"{where}.file")
@@ -89,7 +89,7 @@ def _smoothness(of: Seen = None) -> dict[str, Any]:
     return {"of": of}
 
 
-def _tracking(of: Seen, file: str) -> dict[str, Any]:
+def _tracking(of: Seen, file: str = "") -> dict[str, Any]:
     return {"of": of, "file": file}
 
 

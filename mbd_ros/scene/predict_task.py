@@ -6,17 +6,21 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from mbd_ros.core.prediction.collocation import LARGEST_DEGREE
-from mbd_ros.core.prediction.problem import Goal, Range
+from mbd_ros.core.prediction.problem import Range
 from mbd_ros.core.ranges import Within
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
 from mbd_ros.scene.locate import find_file
 from mbd_ros.scene.predict_goals import goals_of
+from mbd_ros.scene.predict_phases import PhaseTask, phases_of
 from mbd_ros.scene.predict_ranges import FREE, duration_of, open_range, ranges
+from mbd_ros.scene.predict_recording import DrivenBy, RecordingTask, recording_of
 
 Scheme = Literal["gauss", "radau", "hermite_simpson"]
 Count = Annotated[int, Within(1, 10_000)]
+TOLERANCE = 1.0e-7  # of the error between nodes
+_OF_RECORDING = 1.0e-5  # which is measured less well than that
 
 
 @dataclass(frozen=True)
@@ -26,35 +30,14 @@ class MeshTask:
     Attributes:
         scheme: Of collocation.
         degree: Points of an interval.
-        intervals: Of each phase.
+        intervals: Of each phase; None for 10, or 25 a second of a recording.
         refinements: How many times intervals are split at most.
     """
 
     scheme: Scheme = "gauss"
     degree: Annotated[int, Within(1, LARGEST_DEGREE)] = 5
-    intervals: Count = 10
+    intervals: Annotated[int | None, Within(1, 10_000)] = None
     refinements: Annotated[int, Within(0, 30)] = 10
-
-
-@dataclass(frozen=True)
-class PhaseTask:
-    """What is asked of a phase.
-
-    Attributes:
-        phase: Name of a phase of the scene; empty where it has none.
-        duration: Shortest and longest [s].
-        bounds: Quantity -> range, all the time.
-        start: The same at the beginning.
-        end: The same at the end.
-        goals: Terms of the cost.
-    """
-
-    phase: str
-    duration: Range
-    bounds: Mapping[str, Range]
-    start: Mapping[str, Range]
-    end: Mapping[str, Range]
-    goals: tuple[Goal, ...]
 
 
 @dataclass(frozen=True)
@@ -79,6 +62,9 @@ class PredictTask:
         starts: How many guesses are tried, the first one as given, the others at random.
         continuation: Number of the scene -> values, the last one that of the motion.
         source: The file, for messages; empty without one.
+        recording: Of the motion; None without one.
+        driven_by: What drives the scene: what it has, ideal drives in all independent joints, or
+            these and its muscles.
     """
 
     phases: tuple[PhaseTask, ...]
@@ -88,7 +74,7 @@ class PredictTask:
     travel: tuple[str, ...] = ()
     parameters: Mapping[str, Range] = field(default_factory=dict)
     mesh: MeshTask = field(default_factory=MeshTask)
-    tolerance: float = 1.0e-7
+    tolerance: float = TOLERANCE
     accuracy: float = 1.0e-10
     grip: float = 1.0
     iterations: int = 1000
@@ -97,6 +83,8 @@ class PredictTask:
     starts: int = 1
     continuation: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
     source: str = ""
+    recording: RecordingTask | None = None
+    driven_by: DrivenBy = "scene"
 
 
 def build_task(site: Site, given: Any) -> PredictTask:
@@ -142,31 +130,29 @@ def _task(
     travel: Sequence[str] = (),
     parameters: Mapping[str, Any] | None = None,
     mesh: Mapping[str, Any] | None = None,
-    tolerance: Annotated[float, Within(1.0e-13, 1.0)] = 1.0e-7,
+    tolerance: Annotated[float | None, Within(1.0e-13, 1.0)] = None,
     accuracy: Annotated[float, Within(1.0e-13, 1.0e-2)] = 1.0e-10,
     grip: Annotated[float, Within(0.0, 1.0)] = 1.0,
     iterations: Count = 1000,
     guess: Any = None,
     starts: Annotated[int, Within(1, 1000)] = 1,
     continuation: Mapping[str, Any] | None = None,
+    recording: Any = None,
+    driven_by: DrivenBy = "scene",
 ) -> PredictTask:
-    if duration is None and not phases:
+    track = recording_of(recording, f"{where}.recording", folder)
+    if duration is None and not phases and track is None:
         raise SceneError(f"{where}: key 'duration' is missing")
     shared = goals_of(goals, f"{where}.goals", folder)
     always = ranges(bounds or {}, f"{where}.bounds")
-    is_free = start == FREE or bool(periodic) or bool(symmetric)
+    is_free = start == FREE or bool(periodic) or bool(symmetric) or track is not None
     first = {} if start is None or start == FREE else ranges(start, f"{where}.start")
     last = ranges(end or {}, f"{where}.end")
+    some: tuple[PhaseTask, ...]
     if phases:
-        some = tuple(
-            schema.call(_phase, one, f"{where}.phases[{i}]", f"{where}.phases[{i}]", folder)
-            for i, one in enumerate(phases)
-        )
-        some = tuple(_with_shared(one, always, shared) for one in some)
-        some = (_at_start(some[0], first), *some[1:])
-        some = (*some[:-1], _at_end(some[-1], last))
+        some = phases_of(phases, always, shared, first, last, f"{where}.phases", folder)
     else:
-        span = duration_of(duration, f"{where}.duration")
+        span = None if duration is None else duration_of(duration, f"{where}.duration")
         some = (PhaseTask("", span, always, first, last, shared),)
     if not any(one.goals for one in some):
         raise SceneError(f"{where}: key 'goals' is missing, such as [{{type: effort}}]")
@@ -182,7 +168,7 @@ def _task(
             for key, one in (parameters or {}).items()
         },
         schema.call(MeshTask, dict(mesh or {}), f"{where}.mesh"),
-        tolerance,
+        (TOLERANCE if track is None else _OF_RECORDING) if tolerance is None else tolerance,
         accuracy,
         grip,
         iterations,
@@ -194,45 +180,9 @@ def _task(
             for key, one in (continuation or {}).items()
         },
         source,
+        track,
+        driven_by,
     )
-
-
-def _phase(
-    where: str,
-    folder: Path,
-    *,
-    duration: Any,
-    phase: str = "",
-    bounds: Mapping[str, Any] | None = None,
-    start: Mapping[str, Any] | None = None,
-    end: Mapping[str, Any] | None = None,
-    goals: Sequence[Any] = (),
-) -> PhaseTask:
-    return PhaseTask(
-        phase,
-        duration_of(duration, f"{where}.duration"),
-        ranges(bounds or {}, f"{where}.bounds"),
-        ranges(start or {}, f"{where}.start"),
-        ranges(end or {}, f"{where}.end"),
-        goals_of(goals, f"{where}.goals", folder),
-    )
-
-
-def _with_shared(
-    one: PhaseTask, bounds: Mapping[str, Range], goals: tuple[Goal, ...]
-) -> PhaseTask:
-    whole = {**bounds, **one.bounds}
-    return PhaseTask(one.phase, one.duration, whole, one.start, one.end, (*goals, *one.goals))
-
-
-def _at_start(one: PhaseTask, start: Mapping[str, Range]) -> PhaseTask:
-    whole = {**start, **one.start}
-    return PhaseTask(one.phase, one.duration, one.bounds, whole, one.end, one.goals)
-
-
-def _at_end(one: PhaseTask, end: Mapping[str, Range]) -> PhaseTask:
-    whole = {**end, **one.end}
-    return PhaseTask(one.phase, one.duration, one.bounds, one.start, whole, one.goals)
 
 
 def _names(given: Any, where: str) -> tuple[str, ...]:

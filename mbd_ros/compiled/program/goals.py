@@ -9,6 +9,7 @@ from mbd_ros.compiled.program.quantities import Quantities, Quantity
 from mbd_ros.core.prediction.problem import Goal
 from mbd_ros.errors import ModelError
 
+MARKERS = "markers"  # all of a scene, with their weights
 _RATES = {"q": "v", "v": "a", "z": "w"}
 
 
@@ -22,8 +23,8 @@ class Terms(NamedTuple):
         steep: Inputs, and what the integral of their squared rates counts.
         speeds: Quantities of position, what mean speed they should have, and what the square of
             the difference counts.
-        tracked: Quantities with what they should be, by column of `options["reference"]`, and what
-            the integral of the squared difference counts.
+        tracked: Quantities that a recording says, what the integral of the squared difference
+            counts, and whether it has to say them.
     """
 
     integral: Any = None
@@ -31,7 +32,7 @@ class Terms(NamedTuple):
     time: float = 0.0
     steep: Sequence[tuple[Quantity, float]] = ()
     speeds: Sequence[tuple[Quantity, float, float]] = ()
-    tracked: Sequence[tuple[Quantity, str, float]] = ()
+    tracked: Sequence[tuple[Quantity, float, bool]] = ()
 
 
 def terms_of(goal: Goal, of: Quantities) -> Terms:
@@ -83,8 +84,15 @@ def _smoothness(weight: float, options: Mapping[str, Any], of: Quantities) -> Te
 
 
 def _tracking(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:
-    pairs = _chosen(options["of"], of, [])
-    return Terms(tracked=[(one, one.name, weight * share) for one, share in pairs])
+    given, found = options["of"], list[tuple[Quantity, float, bool]]()
+    names = {given: 1.0} if isinstance(given, str) else given
+    for name, share in names.items() if isinstance(names, Mapping) else ((n, 1.0) for n in names):
+        if name == MARKERS:
+            found += [(one, weight * share * own, False) for one, own in of.markers()]
+            continue
+        every = of.find(name)
+        found += [(one, weight * float(share), one.name == name) for one in every]
+    return Terms(tracked=found)
 
 
 def _integral(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:

@@ -22,6 +22,16 @@ _WARM = {
     "bound_frac": 1.0e-9,
     "bound_mult_init_method": "mu-based",
 }
+# of programs whose slopes jump: it ends where the cost no longer changes, though the slope of the
+# Lagrangian does
+KINKED: Mapping[str, Any] = {
+    "acceptable_iter": 3,
+    "acceptable_tol": 1.0e-2,
+    "acceptable_constr_viol_tol": 1.0e-6,
+    "acceptable_dual_inf_tol": 1.0e3,
+    "acceptable_compl_inf_tol": 1.0e-7,
+    "acceptable_obj_change_tol": 1.0e-8,
+}
 _NO_OPTIONS: Mapping[str, Any] = {}
 Progress = Callable[[], tuple[float, float]]  # cost and violation
 Tell = Callable[[int, Progress], bool]  # number of the iteration; whether to stop

@@ -15,9 +15,11 @@ from mbd_ros.compiled.program.phase_equations import LETTERS, PhaseEquations
 from mbd_ros.compiled.program.phase_forms import CLOSING, MOTION, PhaseForms
 from mbd_ros.compiled.program.quantities import Quantities, Quantity, input_bounds, stops
 from mbd_ros.compiled.program.sizes import Usual, usual_sizes
+from mbd_ros.core.prediction.given_inputs import NONE_GIVEN, GivenInputs
 from mbd_ros.core.prediction.mesh import Numbers
 from mbd_ros.core.prediction.problem import PhaseProblem, Range, Ranges
 from mbd_ros.core.prediction.unknowns import PhaseMotion, Unknowns
+from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -35,13 +37,13 @@ class MotionPhase:
         references: What is tracked.
         closes_start: Whether rows have to hold at the beginning, since nothing else makes them.
         limits: Bounds besides those of the problem, all the time, that `limited` adds.
+        sensors: Of the scene, for names of what they measure.
+        given: Inputs that are known over time.
 
     Attributes:
-        problem: As given.
-        equations: As given.
+        problem: As given, as `equations`, `given` and `limits`.
         quantities: By name.
         forms: Equations on meshes.
-        limits: As given.
 
     Raises:
         ModelError: A quantity that is not there, or has no value where it is asked for.
@@ -56,9 +58,11 @@ class MotionPhase:
         *,
         closes_start: bool = False,
         limits: Limits = (),
+        sensors: Sequence[Sensor] = (),
+        given: GivenInputs = NONE_GIVEN,
     ) -> None:
-        self.problem, self.equations = problem, equations
-        self.quantities = Quantities(equations)
+        self.problem, self.equations, self.given = problem, equations, given
+        self.quantities = Quantities(equations, sensors, given.places.tolist())
         self.forms = PhaseForms(equations, parameters)
         self._parameters, self._closes_start = parameters, closes_start
         self._costs = PhaseCosts(problem, self.quantities, self.forms, references)
@@ -88,6 +92,8 @@ class MotionPhase:
         """Write what bounds say of single unknowns."""
         system = self.equations.equations.system
         lower[unknowns.points["u"]], upper[unknowns.points["u"]] = input_bounds(system)
+        given = unknowns.points["u"][:, self.given.places]
+        lower[given] = upper[given] = self.given.at(unknowns.mesh.shares)
         for places in (unknowns.points["z"], unknowns.nodes["z"]):
             lower[places], upper[places] = system.internals.lower, system.internals.upper
         for one, (low, high) in self._bounds:

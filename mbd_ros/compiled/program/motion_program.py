@@ -2,13 +2,13 @@
 
 import itertools
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.program.block import Block, Form
-from mbd_ros.compiled.program.ipopt import Solved, Tell, solve
+from mbd_ros.compiled.program.ipopt import KINKED, Solved, Tell, solve
 from mbd_ros.compiled.program.motion_phase import MotionPhase
 from mbd_ros.compiled.program.moving_knots import bound_widths, moving_knots
 from mbd_ros.compiled.program.phase_equations import LETTERS
@@ -105,6 +105,7 @@ class MotionProgram:
         most: int = 1000,
         is_near: bool = False,
         links: Array | None = None,
+        has_kinks: bool = False,
         tell: Tell | None = None,
     ) -> Solution:
         """Solve on the meshes of guesses.
@@ -117,13 +118,15 @@ class MotionProgram:
             most: Largest number of iterations.
             is_near: Whether the guesses solve a program that is nearly this one.
             links: Unknowns of the linkages to begin with; None for zeros.
+            has_kinks: Whether slopes of the equations may jump.
             tell: See `ipopt.solve`.
         """
         assembled = self.assembled(guesses, parameters, cost_size, links)
         program, guess, every, (lower, upper) = assembled
-        more = {"accuracy": accuracy, "most": most, "is_near": is_near}
-        more["options"] = _TWICE if self._linkages and not is_near else {}
-        solved = solve(program, guess, lower, upper, tell=tell, **more)  # type: ignore[arg-type]
+        more: dict[str, Any] = {"accuracy": accuracy, "most": most, "is_near": is_near}
+        more["options"] = dict(_TWICE) if self._linkages and not is_near else {}
+        more["options"] |= KINKED if has_kinks else {}
+        solved = solve(program, guess, lower, upper, tell=tell, **more)
         motions = tuple(read(solved.x, unknowns) for unknowns in every)
         found = solved.x[: len(self.parameters)]
         own = solved.x[every[-1].end :]

@@ -1,6 +1,6 @@
 """Goals of a phase as blocks of a program."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import casadi as ca
@@ -10,12 +10,16 @@ from mbd_ros.compiled.program.block import Block, Form
 from mbd_ros.compiled.program.goals import Terms, terms_of
 from mbd_ros.compiled.program.phase_forms import PhaseForms
 from mbd_ros.compiled.program.quantities import Quantities
-from mbd_ros.core.prediction.problem import PhaseProblem
+from mbd_ros.core.prediction.problem import Goal, PhaseProblem
 from mbd_ros.core.prediction.unknowns import Unknowns
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-Reference = Callable[[str, Array], Array]  # name of a quantity, times [s] -> values
+# goal, names of quantities, times since the beginning of the phase [s] -> a row a quantity
+Reference = Callable[[Goal, Sequence[str], Array], Array]
+
+
+_LOOKED_AT = 101  # times at which a recording is asked what it says
 
 
 class PhaseCosts:
@@ -39,8 +43,27 @@ class PhaseCosts:
         references: Reference | None = None,
     ) -> None:
         self._problem, self._forms, self._references = problem, forms, references
-        self._terms = {goal.name: terms_of(goal, quantities) for goal in problem.goals}
+        self._goals = {goal.name: goal for goal in problem.goals}
+        self._terms = {goal.name: self._known(goal, quantities) for goal in problem.goals}
         self._integrals = {name: self._integral(one) for name, one in self._terms.items()}
+
+    def _known(self, goal: Goal, quantities: Quantities) -> Terms:
+        """The terms of a goal, without quantities of a pattern that its recording does not say."""
+        terms = terms_of(goal, quantities)
+        if not terms.tracked or self._references is None:
+            return terms
+        names = [one.name for one, _, _ in terms.tracked]
+        times = np.linspace(0.0, 0.5 * sum(self._problem.duration), _LOOKED_AT)
+        said = np.isfinite(self._references(goal, names, times)).any(axis=1)
+        lacking = [
+            name
+            for name, (_, _, asked), there in zip(names, terms.tracked, said, strict=True)
+            if not there and (asked or not said.any())
+        ]
+        if lacking:
+            raise ModelError(f"goal {goal.name}: its recording says nothing of {lacking[0]}")
+        kept = [one for one, there in zip(terms.tracked, said, strict=True) if there]
+        return terms._replace(tracked=kept)
 
     def blocks(self, unknowns: Unknowns) -> list[Block]:
         """Costs on a mesh, and rows of inputs that they let not jump."""
@@ -57,8 +80,8 @@ class PhaseCosts:
         integral = self._integrals[name]
         if integral is not None:
             places = np.vstack((points, unknowns.widths[interval]))
-            data = [mesh.shares, weights, *self._tracked(terms, unknowns)]
-            yield Block(name, integral, places, np.array(data))
+            data = np.vstack((mesh.shares, weights, self._tracked(name, unknowns)))
+            yield Block(name, integral, places, data)
         if terms.final is not None:
             form = self._forms.node_form(ca.SX(0, 1), terms.final)
             last = np.array([mesh.intervals])
@@ -72,23 +95,25 @@ class PhaseCosts:
 
     def _integral(self, terms: Terms) -> Form | None:
         width, weight = ca.SX.sym("width"), ca.SX.sym("weight")
-        wanted = ca.SX.sym("wanted", len(terms.tracked))
+        wanted, counts = (ca.SX.sym(name, len(terms.tracked)) for name in ("wanted", "counts"))
         total = ca.SX(0) if terms.integral is None else terms.integral
-        for i, (one, _, share) in enumerate(terms.tracked):
-            total = total + share * (one.value - wanted[i]) ** 2
+        for i, (one, share, _) in enumerate(terms.tracked):
+            total = total + share * counts[i] * (one.value - wanted[i]) ** 2
         total = ca.SX(total)
         if total.is_zero():
             return None
-        data = ca.vertcat(weight, wanted)
+        data = ca.vertcat(weight, wanted, counts)
         cost = self._forms.duration * width * weight * total
         return self._forms.point_form(ca.SX(0, 1), cost, data, width)
 
-    def _tracked(self, terms: Terms, unknowns: Unknowns) -> list[Array]:
-        if not terms.tracked or self._references is None:
-            return []
-        shortest, longest = self._problem.duration
-        times = unknowns.mesh.shares * 0.5 * (shortest + longest)
-        return [self._references(name, times) for _, name, _ in terms.tracked]
+    def _tracked(self, name: str, unknowns: Unknowns) -> Array:
+        """What a recording says at points, then what of it counts: 0 in its gaps, else 1."""
+        tracked = self._terms[name].tracked
+        if not tracked or self._references is None:
+            return np.zeros((0, len(unknowns.mesh.shares)))
+        times = unknowns.mesh.shares * 0.5 * sum(self._problem.duration)
+        values = self._references(self._goals[name], [one.name for one, _, _ in tracked], times)
+        return np.vstack((np.nan_to_num(values), np.isfinite(values)))
 
     def _steep(self, name: str, unknowns: Unknowns) -> Iterator[Block]:
         """Squared rates of inputs."""

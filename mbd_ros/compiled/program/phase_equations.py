@@ -122,6 +122,34 @@ class PhaseEquations:
         return _full(r).T, _full(K).T.reshape(n, rows, rows).transpose(0, 2, 1)
 
     @cached_property
+    def _pushes(self) -> Any:
+        """(t, q, v, z, a, w, u, l, p) -> r, and its slopes by (u, l), dense."""
+        by = ca.vertcat(self.symbols["u"], self.symbols["l"])
+        given = [self.symbols[key] for key in ("t", *LETTERS, "p")]
+        results = [ca.densify(self.residual), ca.densify(ca.jacobian(self.residual, by))]
+        return ca.Function("pushes", given, ca.cse(results))
+
+    def pushed(
+        self, values: Mapping[str, Array], times: Array, p: Array, given: Array
+    ) -> dict[str, Array]:
+        """Inputs and multipliers that a motion takes, the least where many do: letters u, l.
+
+        Args:
+            values: Letters q, v, z, a, w, u, l -> values, shape (n, ..); u where it is given.
+            times: [s], shape (n,).
+            p: Parameters.
+            given: Places of inputs that are given.
+        """
+        n, sizes = len(times), self.sizes
+        whole = [values[key].T for key in LETTERS]
+        r, K = self._pushes.map(n)(times[None, :], *whole, np.repeat(p[:, None], n, axis=1))
+        K = _full(K).T.reshape(n, sizes.nu + sizes.m, -1).transpose(0, 2, 1)[:, : sizes.nv]
+        K[:, :, given] = 0.0
+        step = -np.linalg.pinv(K) @ _full(r).T[:, : sizes.nv, None]
+        u, lam = np.split(step[:, :, 0], [sizes.nu], axis=1)
+        return {"u": values["u"] + u, "l": values["l"] + lam}
+
+    @cached_property
     def _rows(self) -> Any:
         """(t, q, v, p) -> g and J of rows of positions, g' and J of all rows."""
         given = [self.symbols[key] for key in "tqvp"]

@@ -1,17 +1,19 @@
 """What goes by a name in a task: expressions of the symbols of a phase."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from mbd_ros.compiled.program.part_quantities import PartQuantities
 from mbd_ros.compiled.program.phase_equations import PhaseEquations
 from mbd_ros.compiled.symbols.scalar import plain
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.core.dynamics.inputs import command_names, input_names
 from mbd_ros.core.prediction.body_names import body_names
+from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
@@ -42,10 +44,15 @@ class Quantities:
 
     Args:
         phase: Of which phase.
+        sensors: Of the scene.
+        given: Places of inputs that are no unknowns but known over time, such as measured loads.
     """
 
-    def __init__(self, phase: PhaseEquations) -> None:
-        self._phase, self._named = phase, dict[str, Quantity]()
+    def __init__(
+        self, phase: PhaseEquations, sensors: Sequence[Sensor] = (), given: Collection[int] = ()
+    ) -> None:
+        self._phase, self._named, self._given = phase, dict[str, Quantity](), frozenset(given)
+        self._parts = PartQuantities(phase.equations, sensors)
         for one in (*self._joints(), *self._bodies(), *self._others()):
             self._named.setdefault(one.name, one)
 
@@ -69,13 +76,14 @@ class Quantities:
             return [self._named[name]]
         found = [one for key, one in self._named.items() if fnmatchcase(key, name)]
         found = [one for one in found if one.letter] or found
+        found = found or [self._of_part(one) for one in self._parts.matching(name)]
         if not found:
             of_frame = self._of_frame(name)
             found = [] if of_frame is None else [of_frame]
         if not found:
             raise ModelError(
-                f"no quantity '{name}', there are {', '.join(self._named)} and "
-                "<frame>.position.x of links"
+                f"no quantity '{name}', there are {', '.join(self._named)}, what sensors and "
+                "parts show, and <frame>.position.x of links"
             )
         return found
 
@@ -87,8 +95,18 @@ class Quantities:
         return f"{letter}[{index}]"
 
     def inputs(self) -> list[Quantity]:
-        """All inputs, in the order of u."""
-        return [one for one in self._named.values() if one.letter == "u"]
+        """All inputs that are unknowns, in the order of u."""
+        every = [one for one in self._named.values() if one.letter == "u"]
+        return [one for one in every if one.index not in self._given]
+
+    def markers(self) -> list[tuple[Quantity, float]]:
+        """Coordinates of all markers with the weights of these."""
+        return [(self._of_part(name), weight) for name, weight in self._parts.markers()]
+
+    def _of_part(self, name: str) -> Quantity:
+        if name not in self._named:
+            self._named[name] = Quantity(name, ca.SX(plain(self._parts.value(name))))
+        return self._named[name]
 
     def _joints(self) -> Iterator[Quantity]:
         e, symbols = self._phase.equations, self._phase.symbols

@@ -45,7 +45,7 @@ class Showing:
         states = zip(self._internals.names, self._internals.units, strict=True)
         internals = (Output(name, unit) for name, unit in states)
         multipliers = (Output(row.name, row.unit, frame=row.frame) for row in layout.rows)
-        shown = (number for part, _ in self._counted for number in _numbers(part))
+        shown = (number for part, _ in self._counted for number in numbers_of(part))
         self.numbers = (*multipliers, *internals, *shown)
         self.arrows = tuple(arrow for part, _ in self._drawn for arrow in _arrows(part))
         coned = (part for part, _ in self._coned)
@@ -151,7 +151,7 @@ def _is_cone(output: Output) -> bool:
     return output.kind is Kind.FRICTION_CONE
 
 
-def _numbers(part: Part) -> Iterator[Output]:
+def numbers_of(part: Part) -> Iterator[Output]:
     """Its outputs as scalars."""
     for output in filter(_is_number, part.outputs):
         for word in output.kind.value:

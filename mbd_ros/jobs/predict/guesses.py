@@ -8,6 +8,9 @@ import numpy as np
 from mbd_ros.core.prediction.unknowns import PhaseMotion
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
+from mbd_ros.jobs.predict.modes import PhaseMode
+from mbd_ros.jobs.predict.recorded_guess import write_recorded
+from mbd_ros.jobs.predict.recording import Recording
 from mbd_ros.jobs.predict.references import recorded_lines
 from mbd_ros.scene.predict_task import PredictTask
 
@@ -18,7 +21,11 @@ Lines = Mapping[str, tuple[float, ...]]
 
 
 def guesses_of(
-    phases: "Sequence[MotionPhase]", first: State, task: PredictTask
+    phases: "Sequence[MotionPhase]",
+    first: State,
+    task: PredictTask,
+    recording: Recording | None = None,
+    modes: Sequence[PhaseMode] = (),
 ) -> list[PhaseMotion]:
     """Straight lines from the start to the end of each phase, and what a task says instead.
 
@@ -26,6 +33,8 @@ def guesses_of(
         phases: The phases.
         first: Where the scene starts, in what is integrated.
         task: The task.
+        recording: Of the motion, which takes the place of straight lines.
+        modes: The systems of the phases.
 
     Raises:
         ModelError: A guess of what is no unknown.
@@ -36,6 +45,8 @@ def guesses_of(
         lines |= recorded_lines(phases[0].quantities, task.guess_file)
     for i, phase in enumerate(phases):
         motion = _straight(phase, state, t)
+        if recording is not None:
+            write_recorded(phase, modes[i].system, motion, recording)
         _write_lines(phase, motion, lines, (parts[i], parts[i + 1]))
         found.append(motion)
         t += motion.duration

@@ -11,6 +11,7 @@ from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.predict.failure import active, reasons
 from mbd_ros.jobs.predict.modes import modes_of
 from mbd_ros.jobs.predict.replay import NOT_AGAIN, Replay, replay, simulation_of
+from mbd_ros.jobs.predict.residuals import residuals_of
 from mbd_ros.jobs.predict.searching import search
 from mbd_ros.jobs.predict.solving import Found
 from mbd_ros.jobs.predict.tables import (
@@ -86,8 +87,12 @@ def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Resul
         driven = driven.with_(dict(zip(names, found.solution.parameters.tolist(), strict=True)))
         modes = modes_of(driven, task)
     simulation = simulation_of(driven, motions, found.worst)
-    again = replay(simulation, modes, motions) if found.is_converged else NOT_AGAIN
-    for line in solution_lines(found, again):
+    again = NOT_AGAIN
+    if found.is_converged:
+        recording = found.problem.recording
+        is_loaded = recording is not None and bool(recording.loaded)
+        again = replay(simulation, modes, motions, at_nodes=is_loaded)
+    for line in (*remarks_of(found), *solution_lines(found, again)):
         say(line)
     tables = {
         MAIN: motion_table(simulation, modes, motions, is_converged=found.is_converged),
@@ -100,6 +105,12 @@ def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Resul
     metadata = metadata_of("predict", driven, inputs, topics_of(simulation.system))
     metadata |= numbers_of(found, again)
     return found, Result(tables, metadata)
+
+
+def remarks_of(found: Found) -> tuple[str, ...]:
+    """What is odd about the files of a recording."""
+    recording = found.problem.recording
+    return () if recording is None else recording.remarks
 
 
 def numbers_of(found: Found, again: Replay) -> dict[str, Any]:
@@ -117,6 +128,7 @@ def numbers_of(found: Found, again: Replay) -> dict[str, Any]:
         "stationarity": solved.stationarity,
         "iterations": found.iterations,
         "replay": again.deviation if again.deviation == again.deviation else None,
+        "residuals": {one.name: [one.rms, one.largest] for one in residuals_of(found)},
         "active": [list(one) for one in active(found)],
         "parameters": dict(zip(names, found.solution.parameters.tolist(), strict=True)),
     }
@@ -135,10 +147,13 @@ def solution_lines(found: Found, again: Replay) -> Iterator[str]:
         f"  violation {solved.violation:.1e}, slope of the Lagrangian {solved.stationarity:.1e}, "
         f"both in usual sizes; error between nodes {found.worst:.1e}"
     )
+    yield from (one.line for one in residuals_of(found))
     if found.passings:
         one = max(found.passings, key=lambda each: each.relative)
         yield f"  between nodes {one.name} passes its bound {one.bound:g} by {one.by:.1e}"
     if again.why:
         yield f"  integrated again: {again.why}"
     else:
-        yield f"  integrated again: the end is off by {again.deviation:.1e}"
+        recording = found.problem.recording
+        what = "each node" if recording is not None and recording.loaded else "the end"
+        yield f"  integrated again: {what} is off by {again.deviation:.1e}"

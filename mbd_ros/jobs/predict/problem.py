@@ -15,16 +15,21 @@ from mbd_ros.core.projection.independent_limits import independent_limits
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.jobs.predict.closed_guess import close
+from mbd_ros.jobs.predict.driving import driven
 from mbd_ros.jobs.predict.guesses import guesses_of
 from mbd_ros.jobs.predict.modes import PhaseMode, linkages_of, modes_of, started
-from mbd_ros.jobs.predict.references import references_of
+from mbd_ros.jobs.predict.recording import Recording, given_inputs, recorded
+from mbd_ros.jobs.predict.references import References
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.coordinate_names import coordinate_names, velocity_names
+from mbd_ros.scene.predict_phases import PhaseTask
 from mbd_ros.scene.predict_task import PredictTask
 
 if TYPE_CHECKING:
     from mbd_ros.compiled.program.motion_phase import MotionPhase
     from mbd_ros.compiled.program.motion_program import MotionProgram
+
+_FEW, _A_SECOND = 10, 25  # intervals of the first mesh
 
 
 class Problem(NamedTuple):
@@ -37,6 +42,7 @@ class Problem(NamedTuple):
         parameters: Values to begin with.
         modes: The systems of the phases.
         links: Unknowns of what links phases, such as impulses; None for zeros.
+        recording: Of the motion; None without one.
     """
 
     scene: Scene
@@ -45,14 +51,7 @@ class Problem(NamedTuple):
     parameters: Any
     modes: "list[PhaseMode]"
     links: Any = None
-
-
-def driven(scene: Scene) -> Scene:
-    """The scene; one without any inputs gets an ideal drive in every independent joint."""
-    if scene.inputs.names:
-        return scene
-    joints = [one.name for one in scene.robot.joints if one.name in scene.couplings.independent]
-    return scene.with_(actuators=[{"type": "ideal", "joints": joints, "name": "drives"}])
+    recording: Recording | None = None
 
 
 def problem_of(scene: Scene, task: PredictTask) -> Problem:
@@ -64,29 +63,36 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
     """
     from mbd_ros.compiled.program.motion_program import MotionProgram, Parameter
 
-    scene, where = driven(scene), task.source or scene.name
+    scene, where = driven(scene, task.driven_by), task.source or scene.name
+    scene, task, recording = recorded(scene, task)
     names = list(task.parameters)
     values = np.array([sum(task.parameters[name]) / 2 for name in names])
     try:
         modes = modes_of(scene, task)
         first = started(scene, modes[0])
-        phases = _phases(scene, task, modes, first)
+        if recording is not None:
+            first = first._replace(t=recording.begin)
+        phases = _phases(scene, task, modes, first, recording)
         for phase in phases:
             phase.check()
         linkages = linkages_of(scene, task, modes, phases)
-        guesses = guesses_of(phases, first, task)
+        guesses = guesses_of(phases, first, task, recording, modes)
     except ModelError as error:
         raise SceneError(f"{where}: predict: {error}") from error
     pairs = zip(names, values, strict=True)
     parameters = [Parameter(name, task.parameters[name], value) for name, value in pairs]
-    program = MotionProgram(phases, parameters, scene.initial.t, linkages)
+    program = MotionProgram(phases, parameters, first.t, linkages)
     for phase, guess in zip(phases, guesses, strict=True):
         close(phase.equations, guess, values)
-    return Problem(scene, program, guesses, values, modes)
+    return Problem(scene, program, guesses, values, modes, recording=recording)
 
 
 def _phases(
-    scene: Scene, task: PredictTask, modes: Sequence[PhaseMode], first: State
+    scene: Scene,
+    task: PredictTask,
+    modes: Sequence[PhaseMode],
+    first: State,
+    recording: Recording | None,
 ) -> "list[MotionPhase]":
     from mbd_ros.compiled.program.held_limits import held_limits
     from mbd_ros.compiled.program.motion_phase import MotionPhase
@@ -94,31 +100,46 @@ def _phases(
     from mbd_ros.scene.symbolic_parts import traced
 
     names, found = list(task.parameters), list[MotionPhase]()
-    mesh = uniform_mesh(task.mesh.scheme, _degree(task), task.mesh.intervals)
+    begin, motion_file = first.t, task.recording.motion if task.recording else None
+    references = References(scene, recording, motion_file, begin)
     for i, (mode, asked) in enumerate(zip(modes, task.phases, strict=True)):
         equations = PhaseEquations(traced(scene, mode.system, names, mode.mode).equations)
         start = dict(asked.start)
         if i == 0 and not task.start_free:
             start = {**_start_of(scene, mode.system, first, asked.start), **start}
-        problem = PhaseProblem(
-            asked.phase,
-            asked.duration,
-            {**_usual_bounds(scene, asked.bounds), **asked.bounds},
-            start,
-            asked.end,
-            asked.goals,
-            mesh,
-        )
+        problem = _problem_of_phase(scene, task, asked, start)
         numbers = np.arange(len(names), dtype=np.intp)
         is_open = i == 0 and not task.periodic and not task.symmetric
-        references = references_of(asked.goals)
-        limits = held_limits(equations, mode.demands, equations.symbols["l"], task.grip)
-        found.append(
-            MotionPhase(
-                problem, equations, numbers, references, closes_start=is_open, limits=limits
-            )
-        )
+        shortest, longest = problem.duration
+        middle = 0.5 * (shortest + longest) if np.isfinite(longest) else 0.0
+        more: dict[str, Any] = {
+            "references": references.since(begin),
+            "closes_start": is_open,
+            "sensors": scene.sensors,
+            "limits": held_limits(equations, mode.demands, equations.symbols["l"], task.grip),
+            "given": given_inputs(scene, recording, begin, middle),
+        }
+        found.append(MotionPhase(problem, equations, numbers, **more))
+        begin += middle
     return found
+
+
+def _problem_of_phase(
+    scene: Scene, task: PredictTask, asked: PhaseTask, start: Mapping[str, Range]
+) -> PhaseProblem:
+    assert asked.duration is not None  # a recording says it, or the task does
+    bounds = {**_usual_bounds(scene, asked.bounds), **asked.bounds}
+    mesh = uniform_mesh(task.mesh.scheme, _degree(task), _intervals(task, asked.duration))
+    return PhaseProblem(asked.phase, asked.duration, bounds, start, asked.end, asked.goals, mesh)
+
+
+def _intervals(task: PredictTask, duration: Range) -> int:
+    """Of the first mesh: near a recording from the beginning, or few."""
+    if task.mesh.intervals is not None:
+        return task.mesh.intervals
+    if task.recording is None:
+        return _FEW
+    return max(_FEW, round(_A_SECOND * 0.5 * sum(duration)))
 
 
 def _degree(task: PredictTask) -> int:

@@ -1,5 +1,6 @@
 """The inputs of a motion integrated again by an accurate method of the package."""
 
+import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -73,37 +74,61 @@ def simulation_of(scene: Scene, motions: Sequence[PhaseMotion], error: float) ->
 
 
 def replay(
-    whole: Simulation, modes: Sequence[PhaseMode], motions: Sequence[PhaseMotion]
+    whole: Simulation,
+    modes: Sequence[PhaseMode],
+    motions: Sequence[PhaseMotion],
+    *,
+    at_nodes: bool = False,
 ) -> Replay:
-    """Integrate the inputs of a motion, each phase from its beginning to its end."""
-    found = [_phase_again(whole, *one) for one in zip(modes, motions, strict=True)]
+    """Integrate the inputs of a motion, each phase from its beginning to its end.
+
+    Args:
+        whole: Of the scene, under the inputs of the motion.
+        modes: The systems of the phases.
+        motions: Of the phases.
+        at_nodes: From node to node instead: loads that were measured do not give way, and a motion
+            that leaves its plan by a rounding leaves it altogether.
+    """
+    pairs = zip(modes, motions, strict=True)
+    found = [_phase_again(whole, *one, at_nodes=at_nodes) for one in pairs]
     why = [one.why for one in found if one.why]
     return Replay(max(one.deviation for one in found), "; ".join(why))
 
 
-def _phase_again(whole: Simulation, mode: PhaseMode, motion: PhaseMotion) -> Replay:
+def _phase_again(
+    whole: Simulation, mode: PhaseMode, motion: PhaseMotion, *, at_nodes: bool
+) -> Replay:
     simulation = whole
     if mode.phased is not None:  # without its guards: a phase ends at its time
         system = whole.system.systems[mode.number]  # type: ignore[attr-defined]
         simulation = simulation_of_phase(whole, system, motion.duration)
-    start = (motion.nodes[key][0] for key in "qvz")
-    x = simulation.system.expand(State(motion.begin, *start))
-    if mode.mode:
-        x = x._replace(mode=mode.mode)
+    nodes = list(range(len(motion.mesh.knots))) if at_nodes else [0, len(motion.mesh.knots) - 1]
+    worst = 0.0
     try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            last = x
-            for at in simulation.run(x, motion.duration):
-                last = at
+        for pair in itertools.pairwise(nodes):
+            worst = max(worst, _from_node(simulation, mode, motion, pair))
     except MbdError as error:
         return Replay(float("nan"), str(error))
-    return Replay(deviation(simulation, last, motion))
+    return Replay(worst)
 
 
-def deviation(simulation: Simulation, x: State, motion: PhaseMotion) -> float:
-    """Largest relative difference of a state from the end of a motion."""
+def _from_node(
+    simulation: Simulation, mode: PhaseMode, motion: PhaseMotion, pair: tuple[int, int]
+) -> float:
+    """How far a simulation from one node is off at another one."""
+    begin, end = motion.begin + motion.duration * motion.mesh.knots[list(pair)]
+    x = simulation.system.expand(State(begin, *(motion.nodes[key][pair[0]] for key in "qvz")))
+    last = x = x._replace(mode=mode.mode) if mode.mode else x
+    with np.errstate(over="ignore", invalid="ignore"):
+        for at in simulation.run(x, end - begin):
+            last = at
+    return deviation(simulation, last, motion, pair[1])
+
+
+def deviation(simulation: Simulation, x: State, motion: PhaseMotion, node: int = -1) -> float:
+    """Largest relative difference of a state from a node of a motion, the last one by default."""
     y, chart = simulation.system.reduce(x), simulation.system.chart
-    end = {key: motion.nodes[key][-1] for key in "qvz"}
+    end = {key: motion.nodes[key][node] for key in "qvz"}
     off: dict[str, Array] = {
         "q": chart.difference(end["q"], y.q),
         "v": y.v - end["v"],

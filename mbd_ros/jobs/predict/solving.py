@@ -101,6 +101,7 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
             most=task.iterations,
             is_near=is_near,
             links=links,
+            has_kinks=problem.recording is not None,
             tell=_Watcher(round_, interruption),
         )
         solved = solution.solved
@@ -128,7 +129,7 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
             for motion, error, look in zip(solution.motions, errors, looks, strict=True)
         ]
         parameters, links = solution.parameters, solution.links
-        cost_size, is_near = abs(solved.cost) or 1.0, True
+        cost_size, is_near = abs(solved.cost) or 1.0, problem.recording is None
     return found
 
 
