@@ -126,6 +126,19 @@ class Part:
         """
         raise NotImplementedError
 
+    def balance(self, k: Kinematics, x: State, u: Array, w: Array) -> Array:
+        """What is zero where w are the rates, in their units, shape (len(internal),).
+
+        A part whose rates solve an equation states that equation instead, for collocation.
+
+        Args:
+            k: Kinematics at the state, refreshed as far as `reads` says.
+            x: State of all joints; internal states are inside their bounds.
+            u: All inputs.
+            w: Rates of `internal`.
+        """
+        return w - self.rates(k, x, u)
+
     def at_rest(self, k: Kinematics, x: State, u: Array) -> Array | None:
         """Values of `internal` at which their rates are 0, for a start at equilibrium.
 

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 from mbd_ros.core.model.coupling_functions import CouplingFunction, Linear, Polynomial
 from mbd_ros.core.model.paths import JoinedPaths, JointPath, Path
 from mbd_ros.core.model.point_path import path_through
+from mbd_ros.core.model.polynomial_path import PolynomialPath
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.via_points import Interval, MovingViaPoint, ViaPoint
 from mbd_ros.core.ranges import Unit, Unlimited, Vector
@@ -24,7 +25,7 @@ def path_of(robot: Robot, given: Any, where: str) -> Path:
     Args:
         robot: The robot.
         given: `points` from end to end, perhaps with `wraps`; `joints` with radius or
-            coefficients; or both.
+            coefficients; `polynomial` of several joints; or some of these.
         where: File and key, for the messages.
 
     Raises:
@@ -69,9 +70,10 @@ def _path(
     points: Sequence[Any] | None = None,
     joints: Mapping[str, float | Sequence[float]] | None = None,
     wraps: Sequence[Any] | None = None,
+    polynomial: Mapping[str, Any] | None = None,
 ) -> Path:
-    if not points and not joints:
-        raise ModelError("a path needs points or joints")
+    if not points and not joints and not polynomial:
+        raise ModelError("a path needs points, joints or polynomial")
     if len(points or ()) > MAX_POINTS:
         raise ModelError(f"{len(points or ())} points, accepted are {MAX_POINTS}")
     paths: list[Path] = []
@@ -86,7 +88,15 @@ def _path(
         raise ModelError("wraps need points")
     if joints:
         paths.append(JointPath(robot, {name: _term(one) for name, one in joints.items()}))
+    if polynomial:
+        paths.append(schema.call(_polynomial, polynomial, f"{where}.polynomial", robot))
     return paths[0] if len(paths) == 1 else JoinedPaths(paths)
+
+
+def _polynomial(
+    robot: Robot, *, joints: Mapping[str, Sequence[float]], terms: Sequence[Sequence[float]]
+) -> Path:
+    return PolynomialPath(robot, joints, terms)
 
 
 def _wraps(robot: Robot, wraps: Sequence[Any], where: str) -> Any:

@@ -11,8 +11,8 @@ from mbd_ros.core.ranges import Within
 from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 from mbd_ros.scene.building import Site
-from mbd_ros.scene.locate import find_file
 from mbd_ros.scene.predict_goals import goals_of
+from mbd_ros.scene.predict_guess import guess_of, muscles_of
 from mbd_ros.scene.predict_phases import PhaseTask, phases_of
 from mbd_ros.scene.predict_ranges import FREE, duration_of, open_range, ranges
 from mbd_ros.scene.predict_recording import DrivenBy, RecordingTask, recording_of
@@ -61,6 +61,8 @@ class PredictTask:
         guess_file: Motion to begin with; None for straight lines.
         starts: How many guesses are tried, the first one as given, the others at random.
         continuation: Number of the scene -> values, the last one that of the motion.
+        muscles: Arguments of the smooth muscles in place of those of the scene; None where these
+            stay.
         source: The file, for messages; empty without one.
         recording: Of the motion; None without one.
         driven_by: What drives the scene: what it has, ideal drives in all independent joints, or
@@ -82,6 +84,7 @@ class PredictTask:
     guess_file: Path | None = None
     starts: int = 1
     continuation: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    muscles: Mapping[str, Any] | None = None
     source: str = ""
     recording: RecordingTask | None = None
     driven_by: DrivenBy = "scene"
@@ -139,6 +142,7 @@ def _task(
     continuation: Mapping[str, Any] | None = None,
     recording: Any = None,
     driven_by: DrivenBy = "scene",
+    muscles: Any = None,
 ) -> PredictTask:
     track = recording_of(recording, f"{where}.recording", folder)
     if duration is None and not phases and track is None:
@@ -156,7 +160,7 @@ def _task(
         some = (PhaseTask("", span, always, first, last, shared),)
     if not any(one.goals for one in some):
         raise SceneError(f"{where}: key 'goals' is missing, such as [{{type: effort}}]")
-    lines, file = _guess(guess, f"{where}.guess", folder)
+    lines, file = guess_of(guess, f"{where}.guess", folder)
     return PredictTask(
         some,
         is_free,
@@ -179,6 +183,7 @@ def _task(
             key: tuple(schema.value(one, Sequence[float], f"{where}.continuation.{key}"))
             for key, one in (continuation or {}).items()
         },
+        muscles_of(muscles, f"{where}.muscles"),
         source,
         track,
         driven_by,
@@ -189,22 +194,3 @@ def _names(given: Any, where: str) -> tuple[str, ...]:
     if isinstance(given, bool):
         return ("*.position", "*.velocity") if given else ()
     return tuple(schema.value(given, Sequence[str], where))
-
-
-def _guess(
-    given: Any, where: str, folder: Path
-) -> tuple[dict[str, tuple[float, ...]], Path | None]:
-    if given is None:
-        return {}, None
-    if isinstance(given, str):
-        return {}, find_file(folder, given, where)
-    if not isinstance(given, dict):
-        raise SceneError(f"{where}: expected a file, or quantities with values, got {given!r}")
-    return {
-        str(key): tuple(
-            schema.value(
-                one if isinstance(one, list) else [one], Sequence[float], f"{where}.{key}"
-            )
-        )
-        for key, one in given.items()
-    }, None

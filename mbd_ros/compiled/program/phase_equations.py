@@ -2,6 +2,7 @@
 
     r = (M a + h - loads - J' lam, J a + b, z' - rates)
 
+Rates that solve an equation, such as those of fibres beside a tendon, are stated as that equation.
 No mass matrix is factorised: accelerations, multipliers and rates are unknowns beside the state.
 """
 
@@ -48,10 +49,14 @@ class PhaseEquations:
     @cached_property
     def residual(self) -> Any:
         """The r, a column of size nv + m + nz."""
+        return ca.vertcat(self._motion, self.equations.balance(self.symbols["w"]))
+
+    @cached_property
+    def _motion(self) -> Any:
+        """The r but for internal states."""
         e = self.equations
         a, lam = (scalars(self.symbols[key]) for key in "al")
-        r = residual(e, a, lam, e.dynamics[-1 if e.mh else 0])
-        return ca.vertcat(r, self.symbols["w"] - e.rates)
+        return residual(e, a, lam, e.dynamics[-1 if e.mh else 0])
 
     @cached_property
     def positions(self) -> Any:
@@ -97,10 +102,11 @@ class PhaseEquations:
 
     @cached_property
     def _slopes(self) -> Any:
-        """(t, q, v, z, a, w, u, l, p) -> r, and its slopes by (a, l, w), dense."""
+        """(t, q, v, z, a, w, u, l, p) -> r, linear in w, and its slopes by (a, l, w), dense."""
         by = ca.vertcat(*(self.symbols[key] for key in "alw"))
         given = [self.symbols[key] for key in ("t", *LETTERS, "p")]
-        results = [ca.densify(self.residual), ca.densify(ca.jacobian(self.residual, by))]
+        r = ca.vertcat(self._motion, self.symbols["w"] - self.equations.rates)
+        results = [ca.densify(r), ca.densify(ca.jacobian(r, by))]
         return ca.Function("slopes", given, ca.cse(results))
 
     def answers(self, values: Mapping[str, Array], times: Array, p: Array) -> tuple[Array, Array]:
@@ -169,6 +175,48 @@ class PhaseEquations:
         x = np.linalg.solve(K, -r[:, :, None])[:, :, 0] if r.size else r
         nv, m = self.sizes.nv, self.sizes.m
         return {"a": x[:, :nv], "l": x[:, nv : nv + m], "w": x[:, nv + m :]}
+
+    @cached_property
+    def _balances(self) -> Any:
+        """(t, q, v, z, a, w, u, l, p) -> balance g of internal states, own slopes by w and z."""
+        given = [self.symbols[key] for key in ("t", *LETTERS, "p")]
+        g, w, z = self.equations.balance(self.symbols["w"]), self.symbols["w"], self.symbols["z"]
+        count = range(self.sizes.nz)
+        slopes = [ca.densify(ca.jacobian(g[i], by[i])) for by in (w, z) for i in count]
+        return ca.Function("balances", given, ca.cse([ca.vertcat(ca.densify(g), *slopes)]))
+
+    def calmed(
+        self, values: Mapping[str, Array], w: Array, times: Array, spans: Array, p: Array
+    ) -> Array:
+        """Rates of internal states that a step of Newton's method finds over some times.
+
+        Where rates take a state back faster than that, as tendons do with fibres, rates at a state
+        that is off say nothing of how far it is off.
+
+        Args:
+            values: As for `answers`, w too.
+            w: Rates at these states, shape (n, nz).
+            times: [s], shape (n,).
+            spans: Over which rates act [s], shape (n,).
+            p: Parameters.
+        """
+        stiff = self._stiff
+        if not stiff.any():
+            return w
+        n = len(times)
+        given = [times[None, :], *(values[key].T for key in LETTERS)]
+        given.append(np.repeat(np.asarray(p)[:, None], n, axis=1))
+        g, by_w, by_z = np.split(_full(self._balances.map(n)(*given)).T, 3, axis=1)
+        slope = by_w + spans[:, None] * np.maximum(by_z, 0.0)
+        found = w.copy()
+        found[:, stiff] = (values["w"] - g / slope)[:, stiff]
+        return found
+
+    @cached_property
+    def _stiff(self) -> np.ndarray:
+        """Which internal states have rates that solve an equation, shape (nz,)."""
+        by = ca.jacobian(self.equations.balance(self.symbols["w"]), self.symbols["w"])
+        return np.array([not by[i, i].is_constant() for i in range(self.sizes.nz)], dtype=np.bool_)
 
 
 def _full(values: Any) -> Array:

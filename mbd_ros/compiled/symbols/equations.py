@@ -146,6 +146,14 @@ class Equations:
                 found[part.z] = part.rates(self.k, self.x, self.u)
         return column(found)
 
+    def balance(self, w: Any) -> Any:
+        """What is zero where w, a column, are the rates of the internal states; a column."""
+        found, given = self.k.zeros(self.nz), numbers(w)
+        for part in map(self.own, self.system.internals.parts):
+            with tracing(part):
+                found[part.z] = part.balance(self.k, self.x, self.u, given[part.z])
+        return column(found)
+
     @cached_property
     def held(self) -> Rows:
         """Rigid rows that accelerations and velocities keep."""

@@ -48,6 +48,11 @@ class PathBatch:
         self.names, self._paths = tuple(paths), tuple(paths.values())
         self._joints = carriers(robot)
 
+    @property
+    def width(self) -> int:
+        """Number of independent velocities: columns of moment arms."""
+        return len(self._couplings.v_index)
+
     def evaluate(self, y: Array, w: Array | None = None) -> PathSamples:
         """Lengths, speeds and moment arms.
 

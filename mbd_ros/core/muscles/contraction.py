@@ -123,6 +123,23 @@ class Contraction(NamedTuple):
         speed = self.curves.speed(k, a, fiber_length / self.optimal, force)
         return Fiber(fiber_length, cosine, self.fastest * speed)
 
+    def lacking(
+        self, k: Any, a: Number, length: Number, fiber_length: Number, velocity: Number
+    ) -> Number:
+        """Force of the fibres less that of an elastic tendon along them, per peak force.
+
+        Args:
+            k: Functions of numbers, symbols or arrays.
+            a: Activation.
+            length: Of the path [m].
+            fiber_length: Of the fibres [m].
+            velocity: Its rate [m/s].
+        """
+        relative, speed = fiber_length / self.optimal, velocity / self.fastest
+        fibers = self.curves.fiber(k, a, relative, speed) + self.curves.passive(k, relative)
+        pull = self.curves.tendon(k, self.stretch(k, length, fiber_length))
+        return fibers + self.curves.damping_force(speed) - pull / self.cosine(k, fiber_length)
+
     def tendon_energy(self, k: Any, length: Number, fiber_length: Number) -> Number:
         """Energy of an elastic tendon [J]."""
         area = self.curves.tendon_area(k, self.stretch(k, length, fiber_length))

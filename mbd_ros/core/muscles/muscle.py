@@ -80,6 +80,16 @@ class Muscle(PathLoad, Actuator):
         fiber = self.contraction.beside_elastic_tendon(k, activation, length, fiber_length)
         return k.array([rate, fiber.velocity])
 
+    def balance(self, k: Kinematics, x: State, u: Array, w: Array) -> Array:
+        """As `Part.balance`; fibres against their tendon, in peak forces times largest speeds."""
+        activation, fiber_length = self._states(k, x)
+        off = k.item(w, 0) - self.dynamics.rate(k, k.item(u, self.u.start or 0), activation)
+        if not self.is_elastic:
+            return k.array([off])
+        length, speed = self.path.length(k, x), k.item(w, 1)
+        lacking = self.contraction.lacking(k, activation, length, fiber_length, speed)
+        return k.array([off, self.contraction.fastest * lacking])
+
     def at_rest(self, k: Kinematics, x: State, u: Array) -> Array | None:
         """Activation and fibre length at rest; of several stable lengths the shortest one."""
         found = x.z[self.z].copy()

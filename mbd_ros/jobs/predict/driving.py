@@ -1,27 +1,12 @@
 """What drives a scene whose motion is looked for."""
 
-from collections.abc import Mapping
-from typing import Any
-
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.predict_recording import DrivenBy
+from mbd_ros.scene.smooth_muscles import smooth_entries
 
 DRIVES = "drives"  # ideal ones in all independent joints
 _RESIDUAL = "_residual"
-_OF_MUSCLES = (  # what a smooth muscle takes over from another one
-    "name",
-    "path",
-    "max_isometric_force",
-    "optimal_fiber_length",
-    "tendon_slack_length",
-    "pennation_angle",
-    "maximum_pennation_angle",
-    "max_contraction_velocity",
-    "minimum_activation",
-    "activation_time",
-    "deactivation_time",
-)
 
 
 def driven(scene: Scene, by: DrivenBy = "scene") -> Scene:
@@ -45,7 +30,7 @@ def driven(scene: Scene, by: DrivenBy = "scene") -> Scene:
         return scene.with_(actuators=[drives])
     if by == "muscles" and not scene.muscles:
         raise SceneError(f"{scene.name}: driven_by: muscles: the scene has none")
-    muscles = [smooth_muscle(one) for one in scene.entries["muscles"]] if by == "muscles" else None
+    muscles = smooth_entries(scene, {"tendon": "rigid"}) if by == "muscles" else None
     wrenches = {f"{one.name}{_RESIDUAL}": {"frame": one.frame} for one in scene.robot.bases}
     given = scene.entries.get("external_wrenches") or {}
     return scene.with_(
@@ -58,9 +43,3 @@ def driven(scene: Scene, by: DrivenBy = "scene") -> Scene:
 def is_residual(name: str) -> bool:
     """Whether a wrench drives a free base."""
     return name.endswith(_RESIDUAL)
-
-
-def smooth_muscle(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """A muscle whose curves have derivatives of any order, beside a rigid tendon."""
-    kept = {key: entry[key] for key in _OF_MUSCLES if key in entry}
-    return {**kept, "type": "degroote_fregly", "tendon": "rigid"}

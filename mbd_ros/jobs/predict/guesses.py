@@ -48,6 +48,7 @@ def guesses_of(
         if recording is not None:
             write_recorded(phase, modes[i].system, motion, recording)
         _write_lines(phase, motion, lines, (parts[i], parts[i + 1]))
+        _let_fibers_rest(phase, motion, lines)
         found.append(motion)
         t += motion.duration
         state = np.concatenate([motion.nodes[key][-1] for key in "qvz"])
@@ -70,6 +71,25 @@ def _straight(phase: "MotionPhase", state: Any, begin: float) -> PhaseMotion:
     points |= {key: np.zeros((m, width)) for key, width in widths.items()}
     points["d"] = np.zeros((m + mesh.intervals, 6 * len(sizes.bases)))
     return PhaseMotion(mesh, begin, duration, nodes, points, sizes.bases)
+
+
+def _let_fibers_rest(phase: "MotionPhase", motion: PhaseMotion, lines: Lines) -> None:
+    """Put fibres beside elastic tendons in balance along the guess, but where lines say more."""
+    system = phase.equations.equations.system
+    parts = [one for one in system.internals.parts if getattr(one, "is_elastic", False)]
+    every = (one for name in lines for one in phase.quantities.find(name))
+    given = {one.index for one in every if one.letter == "z"}
+    free = [one.z.stop - 1 for one in parts if one.z.stop - 1 not in given]
+    if not free:
+        return
+    nodes, u = motion.nodes, np.array(system.loads.idle, dtype=np.float64)
+    for i, z in enumerate(nodes["z"]):
+        z[free] = np.nan
+        x = State(motion.begin, nodes["q"][i], nodes["v"][i], z)
+        nodes["z"][i] = system.at_rest(x, u)
+    for at in free:
+        lengths = nodes["z"][:, at]
+        motion.points["z"][:, at] = np.interp(motion.mesh.shares, motion.mesh.knots, lengths)
 
 
 def _write_lines(

@@ -104,6 +104,7 @@ def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Resul
     inputs = {"task": task.source or None}
     metadata = metadata_of("predict", driven, inputs, topics_of(simulation.system))
     metadata |= numbers_of(found, again)
+    metadata["changes"] = list(found.problem.changes)
     return found, Result(tables, metadata)
 
 

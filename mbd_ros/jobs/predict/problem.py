@@ -20,6 +20,7 @@ from mbd_ros.jobs.predict.guesses import guesses_of
 from mbd_ros.jobs.predict.modes import PhaseMode, linkages_of, modes_of, started
 from mbd_ros.jobs.predict.recording import Recording, given_inputs, recorded
 from mbd_ros.jobs.predict.references import References
+from mbd_ros.jobs.predict.traceable import traceable
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.coordinate_names import coordinate_names, velocity_names
 from mbd_ros.scene.predict_phases import PhaseTask
@@ -43,6 +44,7 @@ class Problem(NamedTuple):
         modes: The systems of the phases.
         links: Unknowns of what links phases, such as impulses; None for zeros.
         recording: Of the motion; None without one.
+        changes: What the scene has otherwise than the one that was given, a line each.
     """
 
     scene: Scene
@@ -52,6 +54,7 @@ class Problem(NamedTuple):
     modes: "list[PhaseMode]"
     links: Any = None
     recording: Recording | None = None
+    changes: tuple[str, ...] = ()
 
 
 def problem_of(scene: Scene, task: PredictTask) -> Problem:
@@ -65,6 +68,7 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
 
     scene, where = driven(scene, task.driven_by), task.source or scene.name
     scene, task, recording = recorded(scene, task)
+    scene, task, changes = traceable(scene, task, recording)
     names = list(task.parameters)
     values = np.array([sum(task.parameters[name]) / 2 for name in names])
     try:
@@ -84,7 +88,8 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
     program = MotionProgram(phases, parameters, first.t, linkages)
     for phase, guess in zip(phases, guesses, strict=True):
         close(phase.equations, guess, values)
-    return Problem(scene, program, guesses, values, modes, recording=recording)
+    more = {"changes": changes, "recording": recording}
+    return Problem(scene, program, guesses, values, modes, **more)
 
 
 def _phases(

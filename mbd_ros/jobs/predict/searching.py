@@ -46,6 +46,8 @@ def search(scene: Scene, task: PredictTask, say: Say) -> list[Step]:
         if numbers:
             say("with " + ", ".join(f"{name} = {value:.9g}" for name, value in numbers.items()))
         problem = problem_of(scene.with_(numbers) if numbers else scene, task)
+        for line in problem.changes:
+            say(line)
         if found:
             last = found[-1].found.solution
             more = {"parameters": last.parameters, "links": last.links}

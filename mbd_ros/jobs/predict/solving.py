@@ -1,6 +1,7 @@
 """A program solved on finer and finer meshes, until errors between nodes are small enough."""
 
 import time
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,7 +12,7 @@ from mbd_ros.core.prediction.unknowns import PhaseMotion, steps_of
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.predict.interruption import Interruption, interruptible
-from mbd_ros.jobs.predict.looks import Passing, look_at, next_mesh
+from mbd_ros.jobs.predict.looks import SAVED, Passing, look_at, next_mesh
 from mbd_ros.jobs.predict.problem import Problem
 from mbd_ros.jobs.progress import PERIOD, announce
 from mbd_ros.scene.predict_task import PredictTask
@@ -91,7 +92,8 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
 
 def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interruption) -> Found:
     guesses, parameters, cost_size = list(problem.guesses), problem.parameters, 1.0
-    total, lines, is_near, links = 0, list[str](), False, problem.links
+    total, lines, costs = 0, list[str](), list[float]()
+    is_near, links = False, problem.links
     for round_ in range(task.mesh.refinements + 1):
         solution = problem.program.solve(
             guesses,
@@ -120,7 +122,9 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
         found = Found(problem, solution, errors, is_fine, total, lines, passings)
         if not problem.program.keeps_limits(solution):
             return found._replace(keeps_limits=False)
-        if (is_fine and all(one.is_settled for one in looks)) or not solved.is_good:
+        costs.append(solved.cost)
+        is_settled = all(one.is_settled for one in looks) or _is_same(costs, task.tolerance)
+        if (is_fine and is_settled) or not solved.is_good:
             return found
         if interruption.is_asked:
             return found._replace(is_fine=False, is_interrupted=True)
@@ -131,6 +135,13 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
         parameters, links = solution.parameters, solution.links
         cost_size, is_near = abs(solved.cost) or 1.0, problem.recording is None
     return found
+
+
+def _is_same(costs: Sequence[float], tolerance: float) -> bool:
+    """Whether the last mesh changed the cost by less than matters, wherever inputs change."""
+    if len(costs) < 2:
+        return False
+    return abs(costs[-1] - costs[-2]) <= SAVED * tolerance * abs(costs[-1])
 
 
 def mesh_line(round_: int, solution: "Solution", worst: float) -> str:
@@ -148,8 +159,10 @@ def error_of(phase: Any, motion: PhaseMotion, p: Array) -> Array:
     """Relative error of each interval of a phase, shape (n,)."""
 
     def rates(shares: Array, values: dict[str, Array]) -> tuple[Array, Array]:
-        found = phase.equations.solved(values, motion.begin + motion.duration * shares, p)
-        return found["a"], found["w"]
+        times, interval = motion.begin + motion.duration * shares, motion.mesh.find(shares)[0]
+        found = phase.equations.solved(values, times, p)
+        spans = motion.duration * motion.mesh.widths[interval]
+        return found["a"], phase.equations.calmed(values, found["w"], times, spans, p)
 
     return errors_of(motion, rates).relative
 
