@@ -23,6 +23,19 @@ def price_form(exponent: float) -> Form:
     return Form(x, weight, ca.SX(0, 1), weight * _power(x, exponent))
 
 
+def slope_form() -> Form:
+    """Of x it gives s x; data: s."""
+    x, slope = ca.SX.sym("x"), ca.SX.sym("s")
+    return Form(x, slope, ca.SX(0, 1), slope * x)
+
+
+def start_slopes(scheme: Collocation) -> Array:
+    """What the rows of an interval gain by the state at its start, shape (degree,)."""
+    slopes, sizes = _differences(scheme)
+    found: Array = -slopes.sum(axis=1) / sizes
+    return found
+
+
 def activation_form(dynamics: ActivationDynamics, scheme: Collocation, exponent: float) -> Form:
     """One activation on one interval, and what its excitation costs.
 
@@ -121,10 +134,15 @@ def _contraction(numbers: Any, curves: Any) -> Contraction:
 
 def _defects(scheme: Collocation, x: Any, moved: Any) -> Any:
     """Rows of x' h = moved at the points, by differences: they have fewest entries."""
-    slopes: Array = np.linalg.inv(scheme.A)
-    sizes = np.abs(slopes).sum(axis=1)
+    slopes, sizes = _differences(scheme)
     from_start = ca.DM(slopes / sizes[:, None]) @ (x[1:] - x[0])
     return from_start - moved / ca.DM(sizes)
+
+
+def _differences(scheme: Collocation) -> tuple[Array, Array]:
+    """Slopes at the points by differences from the start, and the sizes of their rows."""
+    slopes: Array = np.linalg.inv(scheme.A)
+    return slopes, np.abs(slopes).sum(axis=1)
 
 
 def _power(x: Any, p: float) -> Any:

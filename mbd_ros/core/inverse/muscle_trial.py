@@ -68,6 +68,8 @@ class Optimal(NamedTuple):
         status: What the solver says.
         residual: Of the conditions of the optimum, in usual sizes.
         lacking: Violations of the balance of forces, in usual sizes, shape (points, nv_y).
+        slopes: What the cost of an interval and all after it gains by activations and lengths of
+            fibres at its start, shape (intervals, n + ne).
     """
 
     excited: Excited
@@ -77,3 +79,4 @@ class Optimal(NamedTuple):
     status: str
     residual: float
     lacking: Array
+    slopes: Array
