@@ -68,6 +68,7 @@ class MuscleProgram:
         self._n, self._ne = len(muscles), len(self._elastic)
         self._r = trial.columns.shape[2] - self._n
         self._each = 2 * self._n + self._r + 2 * self._ne  # unknowns at a point
+        self._exponent = exponent
         self._first = self._n + self._ne  # unknowns at the start
         self._points = len(trial.length) - 1
         every = np.ones(len(trial.widths), dtype=bool)
@@ -108,8 +109,10 @@ class MuscleProgram:
         at = np.repeat(self._part.solved, self._scheme.degree)
         lacking[at] = off[forces].reshape(-1, lacking.shape[1])
         residual = max(found.violation, found.stationarity)
-        how = found.cost, found.iterations, found.is_good, found.status, residual
-        return Optimal(Excited(*parts), *how, lacking, self._slopes(found, program))
+        excited, falling = Excited(*parts), np.array([m.dynamics.falling for m in self._muscles])
+        cost = self._trial.cost(excited, self._scheme.b, falling, self._exponent)
+        how = cost, found.iterations, found.is_good, found.status, residual
+        return Optimal(excited, *how, lacking, self._slopes(found, program))
 
     def _slopes(self, found: Solved, program: SparseProgram) -> Array:
         """See `Part.slopes`: of intervals that were solved the new ones."""

@@ -8,7 +8,7 @@ from mbd_ros.core.muscles.degroote_fregly_curves import DeGrooteFreglyCurves
 from mbd_ros.core.muscles.muscle import Muscle
 
 ACTIVATION, TENDON = "activation", "tendon"
-DEFAULTS = (0.02, 4, 5.0e-3)  # of all but `kind`
+DEFAULTS = (0.02, 4, 1.0e-3)  # of all but `kind`
 _CURVES = DeGrooteFreglyCurves(4.0, 0.6, 0.049, 1.0, 0.01)
 _STEEPNESS = 0.1
 

@@ -2,6 +2,8 @@
 
 from typing import NamedTuple
 
+import numpy as np
+
 from mbd_ros.core.state import Array
 
 
@@ -37,6 +39,21 @@ class Trial(NamedTuple):
     target: Array
     least: Array
     limits: Array
+
+    def cost(self, found: "Excited", b: Array, falling: Array, exponent: float) -> float:
+        """What excitations, distances from measured activations, reserves and the start cost.
+
+        Args:
+            found: What muscles do.
+            b: Shares of the points in the width of an interval.
+            falling: Time in which activations fall [s], shape (n,).
+            exponent: The p.
+        """
+        p, (a, e, r) = exponent, (values[1:] for values in found[:3])
+        each = (self.prices[1:] * e**p + self.stiffness[1:] * (a - self.target[1:]) ** 2).sum(1)
+        each += (np.abs(r) ** p).sum(axis=1)
+        before = falling @ (self.prices[0] * found.activation[0] ** p)
+        return float((self.widths[:, None] * b).ravel() @ each + before)
 
 
 class Excited(NamedTuple):

@@ -3,29 +3,26 @@
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.estimation.torque_estimator import Observations
 from mbd_ros.core.inverse.muscle_dynamics import MuscleDynamics, muscles_with
-from mbd_ros.core.inverse.muscle_frames import Frames
-from mbd_ros.core.inverse.muscle_trial import Excited, Optimal, Trial
-from mbd_ros.core.inverse.sharing_criteria import sizes_of
+from mbd_ros.core.inverse.muscle_trial import Optimal
 from mbd_ros.core.inverse.static_optimization import Shares, StaticOptimization
-from mbd_ros.core.model.base_motion import IndependentCoordinates
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
-from mbd_ros.core.muscles.contraction import Contraction, Fiber
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.prediction.collocation import RADAU, collocation
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError, SolveError
+from mbd_ros.jobs.muscles.trial_error import between
+from mbd_ros.jobs.muscles.trial_guess import first_guess, moved
+from mbd_ros.jobs.muscles.trial_known import known_at, rigid_tensions
 from mbd_ros.jobs.muscles.trial_points import Points, graded
 from mbd_ros.jobs.progress import announce
 
-_ACCURACY, _MOST, _ROUNDS = 1.0e-6, 500, 3
-_BISECTIONS = 30
-_LEAST_SIZE = 1.0e-3  # of the largest force: what a coordinate that needs hardly anything counts
+_ACCURACY, _MOST, _ROUNDS = 1.0e-6, 500, 2
 _NAMED = 3  # worst places of a trial that cannot be produced
 
 
@@ -72,120 +69,49 @@ def shared_trial(
     times = (samples.stamps - samples.stamps[0]) * NANOSECOND
     if len(times) < 4:
         raise DataError(f"{len(times)} frames: dynamics of muscles need at least 4")
-    muscles = muscles_with(asked, solver.muscles)
-    given = solver, muscles, samples, wrenches, measured
+    muscles, p = muscles_with(asked, solver.muscles), solver.wishes.criterion.exponent
     count = max(1, math.ceil(times[-1] / asked.interval - 1.0e-6))
     points = Points(graded(times[-1], count), collocation(RADAU, asked.degree))
-    guess = _guess(muscles, points.whole, times, static)
-    for round_ in range(_ROUNDS + 1):
-        announce(f"excitations on {len(points.knots) - 1} intervals")
-        program = MuscleProgram(
-            muscles, _known(points, *given), points.scheme, solver.wishes.criterion.exponent
-        )
-        found = program.solve(guess, _ACCURACY, _MOST, round_ > 0)
-        if not found.is_good:
-            begin = float(samples.stamps[0] * NANOSECOND)
-            raise SolveError(_why(solver, found, begin + points.times))
-        off = _between(muscles, points, found.excited)
-        if off.max() <= asked.tolerance or round_ == _ROUNDS:
-            break
-        finer = points.split(off > asked.tolerance)
-        guess = _moved(points, found.excited, finer.whole)
-        points = finer
-    return _at_samples(solver, muscles, points, found, static, times, float(off.max()))
+
+    def program(points: Points, part: Any = None) -> MuscleProgram:
+        trial = known_at(points, solver, muscles, samples, wrenches, measured)
+        return MuscleProgram(muscles, trial, points.scheme, p, part)
+
+    announce(f"excitations on {len(points.knots) - 1} intervals")
+    guess = first_guess(muscles, points.whole, times, static)
+    found = program(points).solve(guess, _ACCURACY, _MOST, False)
+    if not found.is_good:
+        begin = float(samples.stamps[0] * NANOSECOND)
+        raise SolveError(_why(solver, found, begin + points.times))
+    points, found, off = _refined(muscles, points, found, asked.tolerance, program)
+    return _at_samples(solver, muscles, points, found, static, times, off)
 
 
-def _guess(muscles: Sequence[Muscle], at: Array, times: Array, static: Shares) -> Excited:
-    """Excitations as activations of frames one by one, fibres at rest beside their tendons."""
-    every = static.activation, static.frames.length
-    activation, length = (
-        np.stack([np.interp(at, times, column) for column in values.T], axis=1) for values in every
-    )
-    elastic = [i for i, muscle in enumerate(muscles) if muscle.is_elastic]
-    fibers, speeds = np.zeros((2, len(at), len(elastic)))
-    for column, i in enumerate(elastic):
-        law = muscles[i].contraction
-        fibers[:, column] = _at_rest(law, activation[:, i], length[:, i])
-        speeds[:, column] = np.gradient(fibers[:, column], at) / law.fastest
-    efforts = np.zeros((len(at), static.reserve.shape[1]))
-    return Excited(activation, activation, efforts, fibers, speeds)
-
-
-def _at_rest(law: Contraction, activation: Array, length: Array) -> Array:
-    """Lengths at which fibres and tendons are in balance [m], by bisection."""
-    k, short = ArrayNumbers, np.full_like(length, max(law.pennation.shortest, 0.1 * law.optimal))
-    long = np.maximum(law.pennation.fiber(k, length - law.slack), 1.01 * short)
-    for _ in range(_BISECTIONS):
-        middle = 0.5 * (short + long)
-        fiber = Fiber(middle, law.cosine(k, middle), 0.0 * middle)
-        along = law.active(k, activation, fiber) + law.passive(k, fiber)
-        pulls = law.tendon(k, length, middle) > along * fiber.cosine
-        short, long = np.where(pulls, middle, short), np.where(pulls, long, middle)
-    return 0.5 * (short + long)
-
-
-def _moved(points: Points, found: Excited, at: Array) -> Excited:
-    """What was found, at other times."""
-    states = (points.states(values, at) for values in (found.activation, found.fiber_length))
-    activation, fibers = states
-    inputs = found.excitation, found.effort, found.fiber_speed
-    excitation, effort, speed = (points.inputs(values, at) for values in inputs)
-    return Excited(activation, excitation, effort, fibers, speed)
-
-
-def _known(
-    points: Points,
-    solver: StaticOptimization,
+def _refined(
     muscles: Sequence[Muscle],
-    samples: Observations,
-    wrenches: Sequence[Array],
-    activations: Callable[[Array], Array | None],
-) -> Trial:
-    """The motion at the points, by cubic splines through its samples."""
-    from scipy.interpolate import CubicSpline
+    points: Points,
+    found: Optimal,
+    tolerance: float,
+    program: Callable[..., Any],
+) -> tuple[Points, Optimal, float]:
+    """Solved again on halves of intervals and beside them, where errors are larger than that."""
+    from mbd_ros.compiled.program.muscle_blocks import Part
 
-    times = (samples.stamps - samples.stamps[0]) * NANOSECOND
-    at = points.whole
-    measured = activations(samples.stamps[0] + np.round(at / NANOSECOND).astype(np.int64))
-    motion = [CubicSpline(times, values)(at) for values in samples[1:4]]
-    for body in IndependentCoordinates(solver.robot, solver.known.couplings).body_y:
-        turn = motion[0][:, body[3:7]]
-        motion[0][:, body[3:7]] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
-    loads = [CubicSpline(times, wrench)(at) for wrench in wrenches]
-    frames, needed = solver.demand(*motion, loads)
-    n = len(muscles)
-    columns = frames.columns.copy()
-    columns[:, :, n:] *= [reserve.optimal for reserve in solver.reserves]
-    prices = solver.wishes.criterion.prices(sizes_of(muscles), frames.active, frames.fiber_speed)
-    least = np.tile([float(muscle.dynamics.least) for muscle in muscles], (len(at), 1))
-    stiffness, target = np.zeros_like(least), np.zeros_like(least)
-    if measured is not None:
-        given = np.isfinite(measured)
-        target[given] = measured[given]
-        if solver.wishes.measured_is_least:
-            least = np.where(given, np.clip(target, least, 1.0), least)
-        stiffness[given] = solver.wishes.tracking
-    largest = np.abs(needed).max(axis=0, initial=0.0)
-    sizes = np.maximum(largest, _LEAST_SIZE * largest.max(initial=0.0))
-    return Trial(
-        *(np.diff(points.knots), frames.length, *_rigid(muscles, frames), columns, needed),
-        *(np.where(sizes > 0.0, sizes, 1.0), np.array(prices), stiffness, target, least),
-        np.array([reserve.limits for reserve in solver.reserves]).reshape(-1, 2).T,
-    )
-
-
-def _rigid(muscles: Sequence[Muscle], frames: Frames) -> tuple[Array, Array]:
-    """Tensions beside rigid tendons at full activation less those without, and these [N]."""
-    k, none = ArrayNumbers, np.zeros_like(frames.length)
-    strength, offset = none, none.copy()
-    for i, muscle in enumerate(muscles):
-        law, length, speed = muscle.contraction, frames.length[:, i], frames.speed[:, i]
-        if not muscle.is_elastic:
-            fiber = law.beside_rigid_tendon(k, length, speed)
-            taut = (length - law.slack > law.pennation.reach) * fiber.cosine
-            strength[:, i] = law.active(k, 1.0, fiber) * taut
-            offset[:, i] = (law.passive(k, fiber) + law.damping(fiber)) * taut
-    return strength, offset
+    off = between(muscles, points, found.excited)
+    for _ in range(_ROUNDS):
+        if off.max() <= tolerance:
+            break
+        finer, is_near = points.split(off > tolerance)
+        announce(f"excitations again on {is_near.sum()} of {len(is_near)} intervals")
+        part = Part(is_near, points.at_starts(found.slopes, finer))
+        guess = moved(points, found.excited, finer.whole)
+        better = program(finer, part).solve(guess, _ACCURACY, _MOST, True)
+        if not better.is_good:
+            break
+        largest = max(found.residual, better.residual)
+        points, found = finer, better._replace(residual=largest)
+        off = between(muscles, points, found.excited)
+    return points, found, float(off.max())
 
 
 def _at_samples(
@@ -197,12 +123,13 @@ def _at_samples(
     times: Array,
     off: float,
 ) -> Shared:
-    activation = points.states(found.excited.activation, times)
+    least = [float(muscle.dynamics.least) for muscle in muscles]
+    activation = np.clip(points.states(found.excited.activation, times), least, 1.0)
     lengths = points.states(found.excited.fiber_length, times)
     elastic = [muscle.name for muscle in muscles if muscle.is_elastic]
     fibers = dict(zip(elastic, lengths.T, strict=True))
     frames, n = static.frames, len(muscles)
-    strength, offset = _rigid(muscles, frames)
+    strength, offset = rigid_tensions(muscles, frames)
     force = np.maximum(strength * activation + offset, 0.0)
     for i, muscle in enumerate(muscles):
         if muscle.is_elastic:
@@ -230,20 +157,6 @@ def _at_samples(
         f"are off by at most {off:.1e}",
     )
     return Shared(shares, excitation, fibers, remarks)
-
-
-def _between(muscles: Sequence[Muscle], points: Points, found: Excited) -> Array:
-    """Largest error of the activations over each interval, by their defect between the points."""
-    ends = np.concatenate(([0.0], points.scheme.c))
-    inner, h = 0.5 * (ends[1:] + ends[:-1]), np.diff(points.knots)[:, None]
-    t, short = (points.knots[:-1, None] + h * inner).ravel(), 1.0e-4 * h.min()
-    before, after = (points.states(found.activation, t + way * short) for way in (-1.0, 1.0))
-    a, e = 0.5 * (before + after), points.inputs(found.excitation, t)
-    rates = [m.dynamics.rate(ArrayNumbers, e[:, i], a[:, i]) for i, m in enumerate(muscles)]
-    defect = np.abs((after - before) / (2.0 * short) - np.stack(rates, axis=1)).max(axis=1)
-    widest = h[:, 0] * np.diff(ends).max()
-    found_: Array = defect.reshape(len(h), -1).max(axis=1) * widest
-    return found_
 
 
 def _why(solver: StaticOptimization, found: Optimal, at: Array) -> str:

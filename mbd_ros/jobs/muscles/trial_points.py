@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.prediction.collocation import Collocation
 from mbd_ros.core.state import Array
 
+_NEAR = 1.0  # longest intervals beside one that is cut: muscles forget over some 0.02 s
 _HALVED = 4  # times, at either end: activations change fastest there
 
 
@@ -54,10 +55,18 @@ class Points(NamedTuple):
         interval, s = self._find(t)
         return np.einsum("tk,tki->ti", self.scheme.values(s), self._stacked(values)[interval])
 
-    def split(self, which: NDArray[np.bool_]) -> "Points":
-        """With some intervals cut in two."""
+    def split(self, which: NDArray[np.bool_]) -> tuple["Points", NDArray[np.bool_]]:
+        """With some intervals cut in two, and which of the new ones are near a cut."""
         middle = 0.5 * (self.knots[:-1] + self.knots[1:])[which]
-        return Points(np.sort(np.concatenate((self.knots, middle))), self.scheme)
+        knots = np.sort(np.concatenate((self.knots, middle)))
+        inner, reach = 0.5 * (knots[:-1] + knots[1:])[:, None], _NEAR * np.diff(self.knots).max()
+        begins, ends = self.knots[:-1][which] - reach, self.knots[1:][which] + reach
+        return Points(knots, self.scheme), ((inner > begins) & (inner < ends)).any(axis=1)
+
+    def at_starts(self, values: Array, finer: "Points") -> Array:
+        """What is given at starts of intervals, at those of finer ones."""
+        columns = [np.interp(finer.knots[:-1], self.knots[:-1], one) for one in values.T]
+        return np.stack(columns, axis=1)
 
     def _stacked(self, values: Array) -> Array:
         return values[1:].reshape(len(self.knots) - 1, self.scheme.degree, values.shape[1])
