@@ -22,8 +22,10 @@ from mbd_ros.jobs.learn.scales import Samples, Scales
 from mbd_ros.scene.built_scene import Scene
 
 _STATES = 100  # random ones, to tell which numbers a motion can show
-_PRIORS = (0.003, 0.01, 0.03, 0.1, 0.3)  # of the usual torque: deviations of that of a number
+_PRIORS = (0.01, 0.03, 0.1, 0.3)  # of the usual torque: deviations of that of a number
 _LEAST = 1.0e-4  # of the usual torque: the smallest deviation of what is measured
+_FIRST = 0.05  # of the usual torque: deviation of what is measured, before the fit says it
+_ALIKE = 0.98  # the largest correlation of neighbours
 _ROUNDS = 3  # deviations follow from the fit, and the fit from them
 _SMALLEST = 0.1  # of the inertia of a motion: what is left of it at least
 
@@ -33,7 +35,7 @@ class Known(NamedTuple):
 
     Attributes:
         triangle: Of each joint R of [columns, torque, torque of the network], shape (m, k, k).
-        count: Samples, shape (1,).
+        count: Independent samples of each joint, shape (m,).
         usual: Root mean square of the efforts [N·m or N], shape (m,).
     """
 
@@ -103,7 +105,9 @@ class Columns:
             R[j, : len(found)] = found
         usual = np.sqrt(np.mean(np.square(samples.effort), axis=0))
         usual = np.maximum(usual, _LEAST * max(float(usual.max()), 1.0e-300))
-        return Known(R, np.array([float(samples.count)]), usual)
+        plain = Known(R, np.full(len(R), float(samples.count)), usual)
+        independent = _independent(plain, whole)
+        return Known(R * np.sqrt(independent)[:, None, None], plain.count * independent, usual)
 
     def written(self, said: About, numbers: Array) -> About:
         """The corrections as a file has them."""
@@ -142,6 +146,20 @@ class Columns:
         return found
 
 
+def _independent(known: Known, rows: Array) -> Array:
+    """Share of the samples that say something of their own, of each joint, shape (m,).
+
+    What a fit leaves of neighbours is alike: with a correlation r of one to the next, n samples
+    are worth n (1 - r) / (1 + r).
+    """
+    p = rows.shape[2] - 2
+    ways = [(rows[..., p] - w * rows[..., p + 1], fitted(known, w)) for w in (False, True)]
+    left = min((b - rows[..., :p] @ numbers for b, numbers in ways), key=np.linalg.norm)
+    square = np.maximum(np.square(left).sum(axis=0), 1.0e-300)
+    r = np.clip((left[1:] * left[:-1]).sum(axis=0) / square, 0.0, _ALIKE)
+    return np.asarray((1.0 - r) / (1.0 + r))
+
+
 def fitted(known: Known, with_network: bool) -> Array:
     """Linear numbers that make the torques most likely, shape (p,).
 
@@ -153,24 +171,32 @@ def fitted(known: Known, with_network: bool) -> Array:
     A = known.triangle[:, :, :p] / usual[..., None]
     b = known.triangle[:, :, p] - with_network * known.triangle[:, :, p + 1]
     b = b / usual
-    count = float(known.count[0])
-    size = np.sqrt(np.square(A).sum(axis=(0, 1)) / (count * len(b)))
+    size = np.sqrt(np.square(A).sum(axis=(0, 1)) / known.count.sum())
     size = np.maximum(size, 1.0e-9 * float(size.max(initial=1.0e-300)))
-    A, deviation = A / size, np.full(len(b), 0.05)
+    A = A / size
+    squares, slopes = A.transpose(0, 2, 1) @ A, np.einsum("mkp,mk->mp", A, b)
+    weight = np.full(len(b), 1.0 / _FIRST**2)
     for _ in range(_ROUNDS):
-        weighed = (A / deviation[:, None, None]).reshape(-1, p)
-        numbers = _most_likely(weighed, (b / deviation[:, None]).ravel())
-        left = np.sqrt(np.square(b - A @ numbers).sum(axis=1) / count)
-        deviation = np.maximum(left, _LEAST)
+        numbers = _most_likely(np.tensordot(weight, squares, axes=1), weight @ slopes)
+        left = np.square(b - A @ numbers).sum(axis=1) / known.count
+        weight = 1.0 / np.maximum(left, _LEAST**2)
     return np.asarray(numbers / size)
 
 
-def _most_likely(A: Array, b: Array) -> Array:
-    """Numbers of A x = b with unit noise, under the prior with the largest evidence."""
-    U, s, Vt = np.linalg.svd(A, full_matrices=False)
-    seen = U.T @ b
-    noise = [1.0 + np.square(prior * s) for prior in _PRIORS]
-    evidence = [-np.sum(np.log(one)) - np.sum(np.square(seen) / one) for one in noise]
+def _most_likely(square: Array, slope: Array) -> Array:
+    """Numbers x under the prior with the largest evidence; of A x = b with unit noise.
+
+    Args:
+        square: A' A, shape (p, p).
+        slope: A' b, shape (p,).
+    """
+    values, V = np.linalg.eigh(square)
+    along = V.T @ slope
+    noise = [1.0 + prior**2 * np.maximum(values, 0.0) for prior in _PRIORS]
+    evidence = [
+        np.sum(prior**2 * np.square(along) / one) - np.sum(np.log(one))
+        for prior, one in zip(_PRIORS, noise, strict=True)
+    ]
     best = int(np.argmax(evidence))
-    found: Array = Vt.T @ (_PRIORS[best] ** 2 * s / noise[best] * seen)
+    found: Array = V @ (_PRIORS[best] ** 2 / noise[best] * along)
     return found

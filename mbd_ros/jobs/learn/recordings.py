@@ -19,6 +19,8 @@ from mbd_ros.scene.built_scene import Scene
 
 _MEASURED = 0.99  # of the samples: a joint with fewer efforts is not learned
 FEWEST = 20  # samples
+_END = 0.75  # periods of the end of the band: where derivatives lack a neighbour
+_INNER = 0.5  # of the samples of a piece: with fewer the ends are kept
 
 
 class Recordings:
@@ -81,7 +83,9 @@ class Recordings:
             DataError: Too few.
         """
         found = [
-            self._of_piece(scene, p) for one in recorded for p in pieces(scene, one, self.band)
+            self._inner(one, self._of_piece(scene, piece))
+            for one in recorded
+            for piece in pieces(scene, one, self.band)
         ]
         joined = Samples(*(np.concatenate(columns) for columns in zip(*found, strict=True)))
         there = np.isfinite(np.hstack([joined.effort, joined.measured])).all(axis=1)
@@ -91,6 +95,14 @@ class Recordings:
                 f"{self.where}: {joined.count} samples to learn from, needed are {FEWEST}"
             )
         return joined
+
+    def _inner(self, recorded: Recorded, samples: Samples) -> Samples:
+        """Samples without the ends, where nobody can tell an acceleration from positions."""
+        if recorded.derivatives == "given" or self.band is None:
+            return samples
+        times, end = samples.times, _END / self.band
+        inner = (times >= times[0] + end) & (times <= times[-1] - end)
+        return samples.at(inner) if inner.mean() > _INNER else samples
 
     def _of_piece(self, scene: Scene, piece: Piece) -> Samples:
         at = IndependentCoordinates(scene.robot, scene.couplings)
