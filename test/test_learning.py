@@ -109,6 +109,27 @@ def test_friction_and_a_payload_are_learned_and_adapted_from_a_trial(tmp_path):
     assert (after.about.low <= before.about.low).all()
 
 
+def test_a_model_goes_on_from_the_scene_that_was_identified(tmp_path, capsys):
+    """Whether that is named, or the one that it was identified from."""
+    random = np.random.default_rng(3)
+    walk = written(tmp_path / "walk", [stride(random, WALK) for _ in range(3)])
+    run = written(tmp_path / "run", [stride(random, RUN)])
+    few = ["--members", "2", "--steps", "5", "--learned", "1"]
+    start = tmp_path / "start"
+    assert main(["learn", LEG, *walk, *few, "-o", str(start)]) == 0
+    adapted = []
+    for scene in (start / "scene.yaml", LEG):
+        out = tmp_path / f"out{len(adapted)}"
+        words = ["--start", str(start), "--freeze", "all-but", "adapters"]
+        assert main(["learn", str(scene), *run, *few, *words, "-o", str(out)]) == 0
+        adapted.append((out / "robot.urdf").read_bytes() + (out / "scene.yaml").read_bytes())
+    assert adapted[0] == adapted[1]
+    assert f"as it was identified: {start / 'scene.yaml'}" in capsys.readouterr().out
+    heavy = mbd.load_scene(LEG).with_inertias({"foot": (2.0, [0.0, 0.0, -0.05], 0.01 * np.eye(3))})
+    with pytest.raises(mbd.MbdError, match="--start was learned on .* another inertia"):
+        heavy.learn(*run, start=read_folder(start), learned=1.0, freeze="all-but adapters")
+
+
 def test_noise_is_not_learned(tmp_path):
     """Where physics explains everything but noise, no joint gets a network."""
     leg, random = mbd.load_scene(LEG), np.random.default_rng(1)

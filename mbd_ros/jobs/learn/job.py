@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.learned.model_file import numbers_of
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.files.recordings import Source
 from mbd_ros.files.table import Column, Result, Table
@@ -73,6 +74,8 @@ def run_learn(scene: Scene, task: Task, say: Say) -> Outcome:
     rest = [one for _, one in parts if one is not None]
     with share_watch("learning") as tell:
         model = fit(stands_on, task, recordings.joints, samples, tell)
+    if stands_on is not scene:
+        model = model._replace(about=model.about._replace(given=numbers_of(scene.robot)))
     _say_what_acts(model, say)
     is_enough = sum(len(one.times) for one in rest) >= FEWEST
     test = recordings.samples(stands_on, rest) if is_enough else None

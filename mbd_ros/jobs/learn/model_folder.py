@@ -19,7 +19,7 @@ from mbd_ros.jobs.learn.scales import Scales
 from mbd_ros.jobs.learn.task import Learned, Outcome
 from mbd_ros.jobs.lines import Say
 
-MODEL, WEIGHTS = "model.onnx", "weights.npz"
+MODEL, WEIGHTS, SCENE = "model.onnx", "weights.npz", "scene.yaml"
 _LARGEST = 256_000_000  # bytes of weights
 
 
@@ -38,7 +38,7 @@ def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: S
     files: dict[str, bytes] = {MODEL: found.content, WEIGHTS: _weights(found.model), **more}
     try:
         files["robot.urdf"] = description_of(found.scene).encode()
-        files["scene.yaml"] = _scene(found)
+        files[SCENE] = _scene(found)
     except SceneError as error:
         say(f"no scene.yaml is written: {error}")
     for name, table in found.tables.items():

@@ -4,16 +4,18 @@ from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
 
-from mbd_ros.errors import DataError
+from mbd_ros.core.learned.model_file import check_robot
+from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.identify.identified_scene import write_files
 from mbd_ros.jobs.learn.comparison import WAYS, compare
 from mbd_ros.jobs.learn.job import run_learn
-from mbd_ros.jobs.learn.model_folder import csv, read_folder, write_folder
-from mbd_ros.jobs.learn.task import Task
+from mbd_ros.jobs.learn.model_folder import SCENE, csv, read_folder, write_folder
+from mbd_ros.jobs.learn.task import Learned, Task
 from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import load_scene
 
 _MARKS = ("s", "D", "o", "^", "v")
 
@@ -26,8 +28,22 @@ def learn_to(scene: Scene, task: Task, folder: Path, start: Path | None, say: Sa
     """
     _refuse(folder, task, start)
     if start is not None:
-        task = task._replace(start=read_folder(start))
+        model = read_folder(start)
+        task, scene = task._replace(start=model), _as_identified(scene, start, model, say)
     write_folder(folder, run_learn(scene, task, say), {}, say)
+
+
+def _as_identified(scene: Scene, folder: Path, model: Learned, say: Say) -> Scene:
+    """The scene that a model stands on, where this one is what it was identified from."""
+    said = model.about
+    if not said.given:
+        return scene
+    try:
+        check_robot(str(folder), said._replace(robot=said.given), scene.robot)
+    except ModelError:
+        return scene
+    say(f"{scene.name} as it was identified: {folder / SCENE}")
+    return load_scene(folder / SCENE)
 
 
 def compare_to(scene: Scene, task: Task, folder: Path, seeds: int, say: Say) -> None:
