@@ -77,6 +77,22 @@ def _power(of: Seen = None, smoothing: Annotated[Positive, Unit("W")] = 0.1) -> 
     return {"of": of, "smoothing": smoothing}
 
 
+def _metabolic(
+    of: Seen = None,
+    basal: bool = True,
+    slow_twitch: Annotated[float, Within(0.0, 1.0), Unit("-")] = 0.5,
+    specific_tension: Annotated[Positive, Unit("N/m^2")] = 2.5e5,
+    smoothing: Annotated[Positive, Unit("-")] = 10.0,
+) -> dict[str, Any]:
+    return {
+        "of": of,
+        "basal": basal,
+        "slow_twitch": slow_twitch,
+        "specific_tension": specific_tension,
+        "smoothing": smoothing,
+    }
+
+
 def _time() -> dict[str, Any]:
     return {}
 
@@ -110,6 +126,7 @@ _KINDS: Mapping[str, Callable[..., dict[str, Any]]] = {
     "torque": _powers,
     "power": _power,
     "activation": _powers,
+    "metabolic": _metabolic,
     "time": _time,
     "speed": _speed,
     "smoothness": _smoothness,

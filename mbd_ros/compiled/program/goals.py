@@ -1,11 +1,13 @@
 """Goals of a motion as expressions: integrals over a phase, and values at its end."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
 import casadi as ca
 
 from mbd_ros.compiled.program.quantities import Quantities, Quantity
+from mbd_ros.core.muscles.metabolic_rate import BASAL, Metabolism
 from mbd_ros.core.prediction.problem import Goal
 from mbd_ros.errors import ModelError
 
@@ -64,6 +66,23 @@ def _power(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:
     return Terms(weight * total)
 
 
+def _metabolic(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:
+    numbers = Metabolism(*(options[key] for key in ("slow_twitch", "specific_tension")))
+    rates = of.metabolic_rates(numbers._replace(smoothing=options["smoothing"]))
+    if not rates:
+        raise ModelError("goal metabolic: the scene has no muscles")
+    shares = _by_name(options["of"] or "*")
+    total = ca.SX(0)
+    for pattern, share in shares.items():
+        chosen = [one.value for one in rates if fnmatchcase(one.name, pattern)]
+        if not chosen:
+            names = ", ".join(one.name for one in rates)
+            raise ModelError(f"goal metabolic: no muscle '{pattern}'; there are {names}")
+        total += share * sum(chosen)
+    basal = BASAL * of.mass if options["basal"] else 0.0
+    return Terms(weight * total, time=weight * basal)
+
+
 def _time(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:
     return Terms(time=weight)
 
@@ -85,8 +104,7 @@ def _smoothness(weight: float, options: Mapping[str, Any], of: Quantities) -> Te
 
 def _tracking(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:
     given, found = options["of"], list[tuple[Quantity, float, bool]]()
-    names = {given: 1.0} if isinstance(given, str) else given
-    for name, share in names.items() if isinstance(names, Mapping) else ((n, 1.0) for n in names):
+    for name, share in _by_name(given).items():
         if name == MARKERS:
             found += [(one, weight * share * own, False) for one, own in of.markers()]
             continue
@@ -115,6 +133,7 @@ _KINDS: Mapping[str, Callable[[float, Mapping[str, Any], Quantities], Terms]] = 
     "torque": _torque,
     "power": _power,
     "activation": _activation,
+    "metabolic": _metabolic,
     "time": _time,
     "speed": _speed,
     "smoothness": _smoothness,
@@ -156,9 +175,17 @@ def _chosen(given: Any, of: Quantities, usual: Sequence[Quantity]) -> list[tuple
     """Quantities and what each counts; a name, a list of names, or names with weights."""
     if given is None:
         return [(one, 1.0) for one in usual]
-    names = {given: 1.0} if isinstance(given, str) else given
-    pairs = names.items() if isinstance(names, Mapping) else ((name, 1.0) for name in names)
-    return [(one, float(share)) for name, share in pairs for one in of.find(name)]
+    pairs = _by_name(given).items()
+    return [(one, share) for name, share in pairs for one in of.find(name)]
+
+
+def _by_name(given: Any) -> dict[str, float]:
+    """What each name of a name, a list, or names with weights counts."""
+    if isinstance(given, str):
+        return {given: 1.0}
+    if isinstance(given, Mapping):
+        return {name: float(share) for name, share in given.items()}
+    return dict.fromkeys(given, 1.0)
 
 
 def _rate(one: Quantity, of: Quantities) -> Any:

@@ -12,6 +12,7 @@ from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.scalar import number, numbers, scalars
 from mbd_ros.compiled.symbols.untraceable import tracing
 from mbd_ros.core.dynamics.showing import numbers_of
+from mbd_ros.core.muscles.metabolic_rate import Metabolism
 from mbd_ros.core.outputs import Now
 from mbd_ros.core.parts import Part
 from mbd_ros.core.sensor import Measures, Sensor
@@ -48,6 +49,24 @@ class PartQuantities:
         for name, (sensor, _) in self._sensors.items():
             if hasattr(sensor, "weight") and sensor.weight > 0.0:
                 yield name, float(sensor.weight)
+
+    def metabolic_rates(self, numbers: Metabolism) -> dict[str, Any]:
+        """Muscle -> expression of its metabolic rate [W].
+
+        Args:
+            numbers: Of the fibres.
+        """
+        e, found = self._e, dict[str, Any]()
+        for part in e.system.loads.actuators:
+            if hasattr(part, "metabolic_rate"):
+                with tracing(part):
+                    found[part.name] = e.own(part).metabolic_rate(e.k, e.x, e.u, numbers)
+        return found
+
+    @property
+    def mass(self) -> float:
+        """Of all links [kg]."""
+        return float(sum(one.mass for one in self._e.system.model.inertias))
 
     def value(self, name: str) -> Any:
         """The number of a name, an expression or a float.

@@ -12,6 +12,7 @@ from mbd_ros.compiled.program.phase_equations import PhaseEquations
 from mbd_ros.compiled.symbols.scalar import plain
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.core.dynamics.inputs import command_names, input_names
+from mbd_ros.core.muscles.metabolic_rate import Metabolism
 from mbd_ros.core.prediction.body_names import body_names
 from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.state import Array
@@ -98,6 +99,16 @@ class Quantities:
         """All inputs that are unknowns, in the order of u."""
         every = [one for one in self._named.values() if one.letter == "u"]
         return [one for one in every if one.index not in self._given]
+
+    def metabolic_rates(self, numbers: Metabolism) -> list[Quantity]:
+        """Metabolic rates of all muscles, by name of the muscle."""
+        rates = self._parts.metabolic_rates(numbers)
+        return [Quantity(name, ca.SX(plain(one))) for name, one in rates.items()]
+
+    @property
+    def mass(self) -> float:
+        """Of all links [kg]."""
+        return self._parts.mass
 
     def markers(self) -> list[tuple[Quantity, float]]:
         """Coordinates of all markers with the weights of these."""

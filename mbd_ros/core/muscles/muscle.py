@@ -11,6 +11,7 @@ from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.paths import Path
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
 from mbd_ros.core.muscles.contraction import Contraction, Fiber
+from mbd_ros.core.muscles.metabolic_rate import USUAL_METABOLISM, Metabolism, metabolic_rate
 from mbd_ros.core.outputs import Now, Output, Value
 from mbd_ros.core.parts import Actuator, Channel, Internal
 from mbd_ros.core.state import Array, State
@@ -156,6 +157,24 @@ class Muscle(PathLoad, Actuator):
             damping * fiber.velocity,
         )
         return shown if self.is_elastic else (*shown, fiber.length)
+
+    def metabolic_rate(
+        self, k: Kinematics, x: State, u: Array, numbers: Metabolism = USUAL_METABOLISM
+    ) -> float:
+        """What the muscle takes from food [W], see `metabolic_rate`.
+
+        Args:
+            k: Kinematics at the state, refreshed as far as `reads` says.
+            x: State of all joints.
+            u: All inputs.
+            numbers: Of its fibres.
+        """
+        activation, _ = self._states(k, x)
+        length, slope = self.path.measured(k, x)
+        fiber = self._fiber(k, x, length, k.dot(slope, x.v))
+        excitation = k.item(u, self.u.start or 0)
+        rate: float = metabolic_rate(k, self.contraction, activation, excitation, fiber, numbers)
+        return rate
 
     def active_force(self, length: Array, speed: Array) -> Array:
         """Force along the tendon of the fully active fibres beside a rigid tendon [N].

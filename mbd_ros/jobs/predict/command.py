@@ -6,6 +6,7 @@ from mbd_ros.errors import FAILED, OK
 from mbd_ros.jobs.arguments import add_scene
 from mbd_ros.jobs.lines import say
 from mbd_ros.scene.locate import path_word
+from mbd_ros.workers.arguments import add_workers
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,6 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the motion; .npz and .parquet hold all tables, beside a .csv stand OUT.goals.csv "
         "and OUT.nodes.csv",
     )
+    add_workers(parser)
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -27,5 +29,6 @@ def run(arguments: argparse.Namespace) -> int:
     from mbd_ros.scene.reader import load_scene
 
     scene = load_scene(arguments.scene)
-    is_found = predict_to(scene, arguments.task, arguments.out, say)
+    where = arguments.workers, arguments.scheduler
+    is_found = predict_to(scene, arguments.task, arguments.out, say, *where)
     return OK if is_found else FAILED

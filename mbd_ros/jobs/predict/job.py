@@ -14,14 +14,17 @@ from mbd_ros.jobs.predict.replay import NOT_AGAIN, Replay, replay, simulation_of
 from mbd_ros.jobs.predict.residuals import residuals_of
 from mbd_ros.jobs.predict.searching import search
 from mbd_ros.jobs.predict.solving import Found
+from mbd_ros.jobs.predict.starts import HERE, Where, where_of
 from mbd_ros.jobs.predict.tables import (
     CONTINUATION,
     GOALS,
     NODES,
+    STARTS,
     continuation_table,
     goal_table,
     motion_table,
     node_table,
+    start_table,
 )
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.jobs.simulate.table import topics_of
@@ -36,6 +39,8 @@ def predict(
     *,
     say: Say | None = None,
     progress: Watch = False,
+    workers: int | None = 1,
+    scheduler: str | None = None,
 ) -> Result:
     """The motion that costs least, between what bounds and equations of motion let it be.
 
@@ -45,6 +50,8 @@ def predict(
         say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
         progress: True for lines on a terminal.
+        workers: How many processes try the `starts` of a task; None for one a core.
+        scheduler: Of a Dask cluster, in place of them.
 
     Returns:
         Table `samples`: the motion, with the columns of a simulation. Table `goals`, a row a goal.
@@ -60,7 +67,8 @@ def predict(
     remarks: list[str] = []
     with watching(progress):
         asked = task_of(scene, task)
-        found, result = run_predict(scene, asked, say or remarks.append)
+        where = where_of(scene, task, workers, scheduler)
+        found, result = run_predict(scene, asked, say or remarks.append, where)
     if say is None:
         result.metadata["remarks"] = remarks
     if not found.is_converged:
@@ -77,9 +85,11 @@ def task_of(scene: Scene, task: str | Path | Mapping[str, Any]) -> PredictTask:
     return predict_task(dict(task), "predict")
 
 
-def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Result]:
+def run_predict(
+    scene: Scene, task: PredictTask, say: Say, where: Where = HERE
+) -> tuple[Found, Result]:
     """See `predict`; the last iterate too where there is no solution."""
-    steps = search(scene, task, say)
+    steps = search(scene, task, say, where)
     found = steps[-1].found
     driven, modes, motions = found.problem.scene, found.problem.modes, found.solution.motions
     names = [one.name for one in found.problem.program.parameters]
@@ -101,6 +111,8 @@ def run_predict(scene: Scene, task: PredictTask, say: Say) -> tuple[Found, Resul
     }
     if task.continuation:
         tables[CONTINUATION] = continuation_table(steps)
+    if steps[0].starts:
+        tables[STARTS] = start_table(steps[0].starts)
     inputs = {"task": task.source or None}
     metadata = metadata_of("predict", driven, inputs, topics_of(simulation.system))
     metadata |= numbers_of(found, again)

@@ -18,8 +18,9 @@ from mbd_ros.jobs.simulate.table import table_of
 if TYPE_CHECKING:
     from mbd_ros.compiled.program.motion_program import Solution
     from mbd_ros.jobs.predict.searching import Step
+    from mbd_ros.jobs.predict.starts import Start
 
-GOALS, NODES, CONTINUATION = "goals", "nodes", "continuation"
+GOALS, NODES, CONTINUATION, STARTS = "goals", "nodes", "continuation", "starts"
 SHOWN = 240  # intervals of the samples of a phase
 
 
@@ -112,6 +113,13 @@ def node_table(found: Found) -> Table:
         parts.append(part)
     names = [name for name in parts[0] if all(name in part for part in parts)]
     return Table([Column(name, np.concatenate([p[name] for p in parts])) for name in names])
+
+
+def start_table(starts: "Sequence[Start]") -> Table:
+    """A row a start: its number, cost, whether it is a solution, iterations, error."""
+    names = ("start", "cost", "converged", "iterations", "error")
+    values = np.array(starts, dtype=np.float64).T
+    return Table([Column(name, one) for name, one in zip(names, values, strict=True)])
 
 
 def continuation_table(steps: "Sequence[Step]") -> Table:

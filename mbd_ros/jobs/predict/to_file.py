@@ -6,12 +6,20 @@ from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.jobs.lines import Say, say_all
 from mbd_ros.jobs.predict.failure import reasons
 from mbd_ros.jobs.predict.job import run_predict, task_of
-from mbd_ros.jobs.predict.tables import CONTINUATION, GOALS, NODES
+from mbd_ros.jobs.predict.starts import where_of
+from mbd_ros.jobs.predict.tables import CONTINUATION, GOALS, NODES, STARTS
 from mbd_ros.jobs.written import beside, write_tables
 from mbd_ros.scene.built_scene import Scene
 
 
-def predict_to(scene: Scene, task: Path, out: Path | None, say: Say) -> bool:
+def predict_to(
+    scene: Scene,
+    task: Path,
+    out: Path | None,
+    say: Say,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> bool:
     """Find a motion, and write it where a place is given; the last iterate where there is none.
 
     Args:
@@ -19,6 +27,8 @@ def predict_to(scene: Scene, task: Path, out: Path | None, say: Say) -> bool:
         task: Task file.
         out: The motion; its suffix chooses the format.
         say: Is told what was found, a line each.
+        workers: How many processes try the starts of a task; None for one a core.
+        scheduler: Of a Dask cluster, in place of them.
 
     Returns:
         Whether there is a solution.
@@ -29,9 +39,10 @@ def predict_to(scene: Scene, task: Path, out: Path | None, say: Say) -> bool:
     asked = task_of(scene, task)
     if out is not None:
         refuse_overwriting(out, task, scene.path)
-        for place in (out, *(beside(out, name) for name in (GOALS, NODES, CONTINUATION))):
+        for place in (out, *(beside(out, name) for name in (GOALS, NODES, CONTINUATION, STARTS))):
             check_place(place)
-    found, result = run_predict(scene, asked, say)
+    where = where_of(scene, task, workers, scheduler)
+    found, result = run_predict(scene, asked, say, where)
     if not found.is_converged:
         say_all(reasons(found, asked))
     if out is not None:

@@ -1,0 +1,96 @@
+"""Metabolic rate of a muscle: heat of activation, maintenance and shortening, and work.
+
+With mass m, excitation e, shares s and f of slow and fast fibres that it recruits, active and
+whole force of the fibres Fa and F, their velocity v, positive where they lengthen:
+
+    s = r sin(pi e / 2),   f = (1 - r) (1 - cos(pi e / 2))
+    rate = m (40 s + 133 f) + m L(l) (74 s + 111 f) - alpha F v - Fa v
+
+where alpha is 0.25 in shortening and 0 in lengthening, the whole is not negative, and its heat is
+not below 1 W/kg. Every choice is made by tanh, so that the rate has derivatives.
+
+Source: L. J. Bhargava, M. G. Pandy, F. C. Anderson, A phenomenological model for estimating
+metabolic energy consumption in muscle contraction, J. Biomech. 37, 2004, 81-88; smooth as in
+A. Falisse et al., J. R. Soc. Interface 16, 2019, 20190402; least heat by B. R. Umberger,
+K. G. M. Gerritsen, P. E. Martin, Comput. Methods Biomech. Biomed. Eng. 6, 2003, 99-111.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+from mbd_ros.core.muscles.contraction import Contraction, Fiber
+
+Number = Any  # float, symbol or array
+BASAL = 1.2  # W/kg, of the whole body
+_ACTIVATION = 40.0, 133.0  # W/kg, slow and fast fibres
+_MAINTENANCE = 74.0, 111.0
+_SHORTENING = 0.25
+_LEAST_HEAT = 1.0  # W/kg
+_BREAKS = (0.5, 1.0, 1.5)  # fibre length per optimal length
+_PIECES = ((0.5, 0.0), (0.0, 1.0), (3.0, -2.0), (0.0, 0.0))  # level and slope of maintenance
+
+
+class Metabolism(NamedTuple):
+    """Numbers of fibres that metabolic rates depend on.
+
+    Attributes:
+        slow_twitch: Share of slow fibres, r.
+        specific_tension: Force per area [N/m^2], from which the mass follows.
+        density: [kg/m^3].
+        smoothing: Steepness of the tanh, per m/s and per W.
+    """
+
+    slow_twitch: float = 0.5
+    specific_tension: float = 2.5e5
+    density: float = 1059.7
+    smoothing: float = 10.0
+
+    def mass(self, muscle: Contraction) -> Number:
+        """Mass of a muscle [kg]."""
+        return muscle.peak / self.specific_tension * self.density * muscle.optimal
+
+
+USUAL_METABOLISM = Metabolism()
+
+
+def metabolic_rate(
+    k: Any,
+    muscle: Contraction,
+    activation: Number,
+    excitation: Number,
+    fiber: Fiber,
+    numbers: Metabolism,
+) -> Number:
+    """Metabolic rate of a muscle [W].
+
+    Args:
+        k: Functions of numbers or symbols.
+        muscle: Fibres and tendon.
+        activation: Of the muscle.
+        excitation: Of the muscle.
+        fiber: Its fibres.
+        numbers: What else it depends on.
+    """
+    steep, mass, v = numbers.smoothing, numbers.mass(muscle), fiber.velocity
+    slow, fast = _recruited(k, excitation, numbers.slow_twitch)
+    active = muscle.active(k, activation, fiber)
+    whole = active + muscle.passive(k, fiber) + muscle.damping(fiber)
+    level, slope = k.piece(fiber.length / muscle.optimal, _BREAKS, _PIECES)
+    share = level + slope * fiber.length / muscle.optimal
+    heat = mass * (_ACTIVATION[0] * slow + _ACTIVATION[1] * fast)
+    heat = heat + mass * share * (_MAINTENANCE[0] * slow + _MAINTENANCE[1] * fast)
+    heat = heat - _chosen(k, steep * v, _SHORTENING * whole, 0.0) * v
+    work = -active * v
+    heat = heat - _chosen(k, -steep * (heat + work), 0.0, heat + work)
+    least = _LEAST_HEAT * mass
+    return _chosen(k, steep * (least - heat), heat, least) + work
+
+
+def _recruited(k: Any, excitation: Number, slow_twitch: Number) -> tuple[Number, Number]:
+    angle = 0.5 * math.pi * excitation
+    return slow_twitch * k.sin(angle), (1.0 - slow_twitch) * (1.0 - k.cos(angle))
+
+
+def _chosen(k: Any, condition: Number, first: Number, second: Number) -> Number:
+    """The first where a condition is far below zero, the second far above it."""
+    return first + (second - first) * (0.5 + 0.5 * k.tanh(condition))
