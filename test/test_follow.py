@@ -15,7 +15,7 @@ from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.control.independent_slopes import IndependentSlopes
 from mbd_ros.core.control.riccati import riccati_backwards, riccati_steady
 from mbd_ros.core.state import State
-from mbd_ros.errors import DataError, ModelError, SolveError
+from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.plans import read_plan
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.jobs.follow.regulator import recorded
@@ -218,29 +218,38 @@ def struck(simulation, plan, x, period):
     raise AssertionError("no strike")
 
 
-@pytest.mark.soak
-def test_a_hundred_disturbed_steps_of_the_biped_return_to_the_plan():
-    """Events and impacts of the scene, torques held for 1 ms: the next step begins in the tube,
-    and most nearer to the plan than this one did, where the foot neither slips nor lifts."""
+@cache
+def followed_step():
+    """The biped, its step, and the plan that follows it."""
     scene = load_scene("five_link_biped")
     step = scene.predict("biped_step")
-    plan = read_plan(scene.follow(step, tube=24))
-    assert plan.level > 0.05
-    motion, rng = recorded(scene, step), np.random.default_rng(4)
+    return scene, step, read_plan(scene.follow(step))
+
+
+def test_the_tube_of_a_step_is_as_wide_as_it_is_said():
+    _, _, plan = followed_step()
+    ways = np.random.default_rng(0).normal(size=(1000, 10))
+    costs = np.einsum("ni,ij,nj->n", ways, plan.cost[0], ways)
+    e = ways * np.sqrt(plan.level / costs)[:, None]
+    assert np.sqrt((e[:, :5] ** 2).mean()) > 0.01  # rad
+    assert np.sqrt((e[:, 5:] ** 2).mean()) > 0.015  # rad/s
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
+def test_a_hundred_disturbed_steps_of_the_biped_return_to_the_plan(seed):
+    """Events and impacts of the scene, torques held for 1 ms: the foot neither slips nor lifts,
+    the next step begins in the tube, and most nearer to the plan than this one did."""
+    scene, step, plan = followed_step()
+    motion, rng = recorded(scene, step), np.random.default_rng(seed)
     slopes = IndependentSlopes(scene.phased_system().systems[0], motion.states)
     simulation = scene.simulation(integrator={"type": "dop853", "tolerance": 1e-8})
     costs = []
     for _ in range(100):
         way = rng.normal(size=10)
         size = np.sqrt(plan.level * rng.uniform(0.5, 1.0) / way.dot(plan.cost[0]).dot(way))
-        y = slopes.beside(motion.states[0], size * way)
-        try:
-            x, at = struck(simulation, plan, y, 1e-3)
-        except SolveError as error:  # forces of feet are none of the tube's business
-            assert "is held and would" in str(error)
-            continue
+        x, at = struck(simulation, plan, slopes.beside(motion.states[0], size * way), 1e-3)
         e = np.concatenate([x.q[at] - plan.q[0], x.v[at] - plan.v[0]])
         costs.append(e.dot(plan.cost[0]).dot(e))
-    assert len(costs) >= 95
     assert max(costs) < plan.level
     assert np.median(costs) < 0.6 * plan.level

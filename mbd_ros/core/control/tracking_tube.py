@@ -7,9 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.control.contract import EffortBox
+from mbd_ros.core.control.held_room import held_room
 from mbd_ros.core.control.independent_slopes import IndependentSlopes
 from mbd_ros.core.control.tracking_plan import TrackingPlan
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.events.crossings import Crossing
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
@@ -46,6 +48,7 @@ class DisturbedMotion:
         slopes: Its joints among the coordinates, and what they say of the others.
         box: Efforts that inputs can have.
         hold: How long the plan holds its end [s].
+        demands: Numbers of the forces of contacts that are held, which stay positive.
     """
 
     def __init__(
@@ -56,10 +59,11 @@ class DisturbedMotion:
         slopes: IndependentSlopes,
         box: EffortBox,
         hold: float = 0.0,
+        demands: Sequence[Crossing] = (),
     ) -> None:
         self._system, self._motion, self._plan = system, motion, plan
         self._slopes, self._chosen, self._box = slopes, slopes.chosen, box
-        self._hold = hold
+        self._hold, self._demands = hold, tuple(demands)
         self._accelerate, self._rates = system.accelerator(), np.zeros((4, system.nv))
 
     def after(self, i: int, e: Array, limit: float, fastest: float) -> Outcome:
@@ -82,7 +86,7 @@ class DisturbedMotion:
         for _ in range(count + 1):
             cost, u = self._answer(y)
             largest = max(largest, cost)
-            if not largest <= limit:
+            if not (largest <= limit and self._is_held(y, u)):
                 return Outcome(math.inf, math.inf)
             y = self._stepped(y, u, h)
         return Outcome(largest, cost)
@@ -93,6 +97,12 @@ class DisturbedMotion:
         e = np.concatenate([y.q[self._chosen] - wanted.q, y.v[self._chosen] - wanted.v])
         u = np.clip(wanted.u - wanted.gain.dot(e), self._box.lower, self._box.upper)
         return float(e.dot(wanted.cost).dot(e)), u
+
+    def _is_held(self, y: State, u: Array) -> bool:
+        """Whether contacts that are held push and stick under some efforts."""
+        if not self._demands:
+            return True
+        return bool((held_room(self._system, self._demands, y, u) >= 0.0).all())
 
     def _stepped(self, y: State, u: Array, h: float) -> State:
         """A classical Runge-Kutta step with held inputs."""

@@ -34,7 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--effort",
         type=float,
-        help="of efforts, N·m or N (default: the limit of each input, or its largest)",
+        help="of efforts, N·m or N (default: the limit of each input, or its largest; less beside "
+        "held contacts)",
     )
     parser.add_argument(
         "--tube",

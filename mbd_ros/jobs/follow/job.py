@@ -43,7 +43,8 @@ def follow(
         motion: Result or file with positions, velocities, and efforts or commands.
         position: Tolerated deviation of positions [rad or m].
         velocity: Of velocities [rad/s or m/s].
-        effort: Of efforts [N·m or N]; None for the limit of each input, or else its largest.
+        effort: Of efforts [N·m or N]; None for the limit of each input, or else its largest, but
+            not more than a twentieth of what makes a held contact slip or lift.
         tube: Number of random disturbances that the tube is tested with; 0 for no tube.
         watch: True for a line on a terminal, or a function of a label and a share.
 

@@ -14,6 +14,7 @@ from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.recordings import Source, read_motion
 from mbd_ros.jobs.follow.repeated import repeating_cost, strike_slope
+from mbd_ros.jobs.follow.tolerated_efforts import crossings_of, tolerated_efforts
 from mbd_ros.scene.built_scene import Scene
 
 _STILL = 1.0e-3  # velocity of a plan that ends at rest, over its largest
@@ -130,7 +131,9 @@ def regulated(scene: Scene, motion: Recorded, tolerated: Tolerated) -> Regulated
     pairs = [slopes.at(y, one) for y, one in zip(states, u, strict=True)]
     A, B = (np.stack(list(each)) for each in zip(*pairs, strict=True))
     limits = np.concatenate([one.limits() for one in scene.actuators])
-    Q, R = _costs(len(slopes.chosen), u, limits, tolerated)
+    demands = crossings_of(scene)
+    usual = np.minimum(_usual_efforts(u, limits), tolerated_efforts(system, demands, states, u))
+    Q, R = _costs(len(slopes.chosen), usual, tolerated)
     steady = riccati_steady(A[-1], B[-1], Q, R)
     duration = float(times[-1] - times[0])
     if scene.phases:
@@ -146,17 +149,21 @@ def regulated(scene: Scene, motion: Recorded, tolerated: Tolerated) -> Regulated
     given = system, states, plan, slopes, EffortBox(-limits, limits), duration * rests
     fastest = float(np.abs(np.linalg.eigvals(A - B @ gain)).max())
     widest = _WIDEST**2 * _unit_level(S, np.diag(Q))
-    return Regulated(plan, DisturbedMotion(*given), rests, fastest, widest)
+    return Regulated(plan, DisturbedMotion(*given, demands), rests, fastest, widest)
 
 
-def _costs(d: int, u: Array, limits: Array, tolerated: Tolerated) -> tuple[Array, Array]:
-    """Costs of states and efforts: one over the squares of what is tolerated."""
-    sizes = np.repeat([tolerated.position, tolerated.velocity], d)
+def _usual_efforts(u: Array, limits: Array) -> Array:
+    """The limit of each input, or else its largest effort."""
     used = np.abs(u).max(axis=0)
     used = np.maximum(used, _SMALL * used.max()) if used.any() else np.ones(len(used))
-    efforts = np.where(np.isfinite(limits), limits, used)
+    return np.where(np.isfinite(limits), limits, used)
+
+
+def _costs(d: int, efforts: Array, tolerated: Tolerated) -> tuple[Array, Array]:
+    """Costs of states and efforts: one over the squares of what is tolerated."""
+    sizes = np.repeat([tolerated.position, tolerated.velocity], d)
     if tolerated.effort is not None:
-        efforts = np.full(len(used), tolerated.effort)
+        efforts = np.full(len(efforts), tolerated.effort)
     return np.diag(sizes**-2.0), np.diag(efforts**-2.0)
 
 
