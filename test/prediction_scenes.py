@@ -150,7 +150,11 @@ def four_bar():
 
 
 def hanging_muscle(tendon):
-    """Moco's exampleHangingMuscle, for least excitation, from equilibrium to equilibrium."""
+    """Moco's exampleHangingMuscle, for least excitation, from equilibrium to equilibrium.
+
+    The bound x <= 0.18 is part of the problem: beyond it the fiber is so long that its passive
+    force carries the mass, and a motion through there costs less.
+    """
     robot = urdf(link("mass", 0.5), joint("x", "prismatic", "ground", "mass", "1 0 0"))
     muscle = {
         "type": "degroote_fregly",

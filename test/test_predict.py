@@ -244,6 +244,7 @@ CONTRADICTORY = {
     "bounds of which nothing is left": ({"bounds": {"slide.position": [2.0, -2.0]}}, "slide"),
     "an end without a value": ({"end": {"slide.effort": 1.0}}, "slide.effort"),
     "an unknown quantity": ({"end": {"slid.position": 1.0}}, "slide.position"),
+    "a time of nothing": ({"duration": 0.0}, "duration: a phase that lasts no time"),
     "no goal": ({"goals": []}, "goals"),
 }
 

@@ -66,6 +66,36 @@ def test_a_ground_that_is_too_slippery_is_named():
         standing("0.6 0.8 0", 0.1).predict(task)
 
 
+SPRING, REST = 800.0, 0.5  # N/m, m
+
+
+@pytest.mark.parametrize(
+    ("axis", "guard", "start", "stretched", "within"),
+    [
+        ("0 0 1", "lift_off", (0.3, 0.0), 9.81 / SPRING, [0.05, 0.15]),
+        ("0.6 0.8 0", "slip", (0.5, 1.0), 0.5 * WEIGHT / SPRING, [0.01, 0.05]),
+    ],
+)
+def test_a_force_ends_a_phase(axis, guard, start, stretched, within):
+    """A spring swings, without effort, until it lifts its foot or pulls it away."""
+    scene, free = standing(axis, 0.5), {"contacts": [], "then": "free"}
+    held = {"contacts": ["sole"], "until": {"off": {guard: "sole"}}, "then": "free"}
+    spring = {"type": "joint_spring", "joint": "slide", "stiffness": SPRING, "rest": REST}
+    scene = scene.with_(
+        phases={"held": held, "free": free | {"until": {"late": {"time": 9.0}}}}, forces=[spring]
+    )
+    names = ("slide.position", "slide.velocity")
+    task = {"start": dict(zip(names, start, strict=True)), "goals": EFFORT}
+    phases = [{"phase": "held", "duration": within}, {"phase": "free", "duration": 0.1}]
+    task |= {"phases": phases, "mesh": {"intervals": 4}}
+    result = scene.predict(task | {"guess": {"slide.position": [start[0], 0.5, 0.5]}})
+    rate, middle = np.sqrt(SPRING / 2.0), REST - (guard == "lift_off") * 2.0 * 9.81 / SPRING
+    swing, phase = np.hypot(start[0] - middle, start[1] / rate), np.arctan2
+    begin = phase(start[1] / rate, start[0] - middle)  # x - middle = swing cos(begin - rate t)
+    taken = (begin - np.arccos((REST + stretched - middle) / swing)) % (2.0 * np.pi) / rate
+    assert result.metadata["duration"][0] == pytest.approx(taken, abs=1.0e-6)
+
+
 # ---------------------------------------------------------------------- a step of five links
 
 

@@ -14,6 +14,11 @@ FREE = "free"
 def duration_of(given: Any, where: str) -> Range:
     """Shortest and longest duration [s]."""
     low, high = range_of(given, where)
+    if high == 0.0:
+        raise SceneError(
+            f"{where}: a phase that lasts no time; accepted: above 0, or leave it out and let the "
+            "guard before it lead to the phase after it, with what both reset"
+        )
     if not (low >= SMALLEST and high <= LARGEST):
         raise SceneError(f"{where}: {low:g} .. {high:g} s is out of range, accepted: above 0")
     return low, high

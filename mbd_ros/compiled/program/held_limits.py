@@ -78,7 +78,7 @@ def cone_of(equations: PhaseEquations, crossing: ConeRoom, forces: Any, mu: Any 
     friction = crossing.mu if mu is None else mu
     t = [_along(equations, each, forces) for each in crossing.tangents if len(each)]
     n = _along(equations, crossing.normals, forces)
-    return ((friction * n) ** 2 - sum(one**2 for one in t)) / _weight(equations)
+    return ((friction * n) ** 2 - sum(one**2 for one in t)) / weight_of(equations)
 
 
 def _cone(
@@ -112,7 +112,7 @@ def _along(equations: PhaseEquations, slots: Sequence[int], forces: Any) -> Any:
     return sum((forces[names.index(rows[slot].name)] for slot in slots), ca.SX(0))
 
 
-def _weight(equations: PhaseEquations) -> float:
+def weight_of(equations: PhaseEquations) -> float:
     """Of all bodies [N]; 1 without gravity."""
     model = equations.equations.system.robot.model
     weight = float(pin.computeTotalMass(model) * np.linalg.norm(model.gravity.linear))

@@ -11,19 +11,18 @@ import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.program.block import Block, Form
+from mbd_ros.compiled.program.end_guards import EndGuard
 from mbd_ros.compiled.program.held_limits import held_limits
 from mbd_ros.compiled.program.motion_phase import MotionPhase
 from mbd_ros.compiled.program.phase_equations import PhaseEquations
 from mbd_ros.compiled.program.quantities import Quantity
-from mbd_ros.compiled.symbols.scalar import plain
-from mbd_ros.core.events.crossings import Combination, Gap
 from mbd_ros.core.events.phase import Exit
 from mbd_ros.core.events.phase_reset import Relabelling
 from mbd_ros.core.prediction.unknowns import Unknowns
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-GUARD, RESET, PERIODIC, IMPACT = "guard", "reset", "periodic", "impact"
+RESET, PERIODIC, IMPACT = "reset", "periodic", "impact"
 
 
 class ResetLinkage:
@@ -43,7 +42,7 @@ class ResetLinkage:
         count: Unknowns of its own.
 
     Raises:
-        ModelError: A guard that looks at forces, or coordinates that differ.
+        ModelError: A guard that no row states, or coordinates that differ.
     """
 
     def __init__(
@@ -62,7 +61,7 @@ class ResetLinkage:
         if after.equations.sizes[:3] != sizes[:3]:
             raise ModelError("phases whose coordinates differ; accepted: solver: {type: kkt}")
         self._impulses = 0 if striking is None else striking.sizes.m
-        self._guard = self._guard_form(way)
+        self._guard = None if way.crossing is None else EndGuard(before, way)
         self._reset = self._reset_form(way.reset.relabelling, striking, travel)
         self._limits = [] if striking is None else _kept(striking, way.reset.demands, grip)
         self._is_limited, self.count = False, sizes.nv + self._impulses
@@ -79,8 +78,7 @@ class ResetLinkage:
         for name, form, lower, upper in self._limits if self._is_limited else ():
             found.append(Block(f"{IMPACT}: {name}", form, places, None, lower, upper))
         if self._guard is not None:
-            form, upper = self._guard
-            found.append(Block(GUARD, form, ends, _ENDS, [0.0, -np.inf], [0.0, upper]))
+            found.append(self._guard.block(before))
         return found, end
 
     def limited(self) -> "ResetLinkage":
@@ -96,17 +94,6 @@ class ResetLinkage:
         p = own[self._before.equations.sizes.nv :]
         values = [(float(form.values(p, [])), *ends) for _, form, *ends in self._limits]
         return all(low <= value <= high for value, low, high in values)
-
-    def _guard_form(self, way: Exit) -> tuple[Form, float] | None:
-        """The guard, and its rate against the direction in which it acts."""
-        if way.crossing is None:
-            return None
-        equations = self._before.equations
-        value = ca.SX(guard_value(way.crossing, equations.equations))
-        symbols = equations.symbols
-        rate = -way.direction * ca.jtimes(value, symbols["q"], _rates(equations))
-        upper = 0.0 if way.direction else np.inf
-        return self._before.forms.node_form(ca.vertcat(value, rate)), upper
 
     def _reset_form(
         self,
@@ -175,33 +162,6 @@ class EqualEnds:
 
 
 _ENDS: Array = np.ones((1, 1))  # share of the duration
-
-
-def guard_value(crossing: Any, equations: Any) -> Any:
-    """The number of a guard as an expression of positions.
-
-    Raises:
-        ModelError: It looks at forces.
-    """
-    if isinstance(crossing, Gap):
-        gaps = list(crossing.contact.pair.gaps(equations.k))
-        least = ca.SX(plain(gaps[0]))
-        for other in gaps[1:]:
-            least = ca.fmin(least, plain(other))
-        return least
-    if isinstance(crossing, Combination):
-        pairs = zip(crossing.q, crossing.factors, strict=True)
-        total: Any = sum(factor * equations.coordinates.q[i] for i, factor in pairs)
-        return plain(total) - crossing.at
-    raise ModelError("a guard looks at forces; accepted: touch_down, joint, joints, time")
-
-
-def _rates(equations: PhaseEquations) -> Any:
-    """Q' of a configuration without free bodies."""
-    rates = ca.SX(equations.sizes.nq, 1)
-    for i, j in equations.flat:
-        rates[int(i)] = equations.symbols["v"][int(j)]
-    return rates
 
 
 def _struck(striking: PhaseEquations, symbols: Any, after: Any, p: Any) -> Any:

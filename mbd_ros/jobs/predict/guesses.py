@@ -117,5 +117,7 @@ def _write_lines(
                 at = part[0] + shares * (part[1] - part[0])
                 found[one.letter][:, one.index] = np.interp(at, places, values)
                 if one.letter == "q" and one.index in flat and velocity not in lines:
-                    slope = np.gradient(np.interp(at, places, values), shares)
+                    once, which = np.unique(at, return_inverse=True)
+                    slope = np.gradient(np.interp(once, places, values), once)[which]
+                    slope *= part[1] - part[0]
                     found["v"][:, flat[one.index]] = slope / motion.duration

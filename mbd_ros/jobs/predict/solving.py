@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from mbd_ros.compiled.program.motion_program import Solution
 
 STOPPED = "User_Requested_Stop"
+_LEAST = 1.0e-9  # of the usual size of a cost: less is none
 
 
 class Found(NamedTuple):
@@ -133,7 +134,8 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
             for motion, error, look in zip(solution.motions, errors, looks, strict=True)
         ]
         parameters, links = solution.parameters, solution.links
-        cost_size, is_near = abs(solved.cost) or 1.0, problem.recording is None
+        cost_size = max(abs(solved.cost), _LEAST * cost_size)
+        is_near = problem.recording is None
     return found
 
 
