@@ -1,7 +1,11 @@
 """What contacts that a phase holds can exert: they push, within their friction cones.
 
-Of one tangent a cone is two planes, mu n >= t and mu n >= -t; of two it is mu^2 n^2 >= t^2 beside
-n >= 0, which is smooth, and in newtons once it is divided by mu times the weight.
+Of one tangent a cone is two planes, mu n >= t and mu n >= -t; of two it is, beside n >= 0,
+
+    mu n >= t^2 / sqrt((mu n)^2 + s^2),
+
+whose slope does not vanish at the apex. A small s, a share of the weight, makes it smooth there;
+off the apex it lets friction be larger by (s / mu n)^2 / 4 of itself.
 """
 
 import math
@@ -19,6 +23,7 @@ from mbd_ros.core.prediction.problem import Range
 from mbd_ros.errors import ModelError
 
 _PUSHES: Range = (0.0, math.inf)
+_APEX = 1.0e-4  # of the weight
 Limits = list[tuple[Quantity, Range]]
 
 
@@ -74,11 +79,11 @@ def force_of(equations: PhaseEquations, crossing: Force, forces: Any) -> Any:
 
 
 def cone_of(equations: PhaseEquations, crossing: ConeRoom, forces: Any, mu: Any = None) -> Any:
-    """(mu n)^2 - t^2, over mu times the weight [N]."""
-    friction = crossing.mu if mu is None else mu
+    """What friction of two tangents has left [N]."""
+    n = _along(equations, crossing.normals, forces) * (crossing.mu if mu is None else mu)
     t = [_along(equations, each, forces) for each in crossing.tangents if len(each)]
-    n = _along(equations, crossing.normals, forces)
-    return ((friction * n) ** 2 - sum(one**2 for one in t)) / weight_of(equations)
+    apex = _APEX * weight_of(equations)
+    return n - sum(one**2 for one in t) / ca.sqrt(n**2 + apex**2)
 
 
 def _cone(
