@@ -45,8 +45,7 @@ class Tracker:
     estimator goes back there and takes all that came since again.
 
     What drove the mechanism in a gap between samples is not known. After one that is longer than
-    `patience`, or than `max_age` where no inputs drive it, it is found where it is, at rest but
-    for what `agility` may have done.
+    `patience` it is found where it is, at rest but for what `agility` may have done.
 
     Args:
         estimator: The estimator; has begun.
@@ -152,15 +151,14 @@ class Tracker:
     def _go_on(self, t: float, values: Array, u: Array | None, dt: float) -> None:
         """To the time of the next sample, by what is known of the time until then."""
         estimator, process = self.estimator, self.estimator.process
-        if dt <= max(self._patience, _GAP * self._usual):
-            usual = dt if np.isinf(self._usual) else self._usual
-            self._usual = usual + _FORGETTING * (dt - usual)
-        elif dt > self._max_age or (u is not None and u.any()):
+        if dt > max(self._patience, _GAP * self._usual):
             doubt = process.unforeseen(self._agility, min(dt, self._max_age))
             P = self.belief.P + np.diag(doubt)
             x = process.near(process.at_rest(self.belief.x, t), values, P)
             estimator.begin(x, P, t)
             return
+        usual = dt if np.isinf(self._usual) else self._usual
+        self._usual = usual + _FORGETTING * (dt - usual)
         estimator.predict(u, t)
 
     def _widen(self, t: float, values: Array) -> None:
