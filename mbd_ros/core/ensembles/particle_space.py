@@ -1,22 +1,15 @@
 """Molecules as what is sampled: coordinates of all points, rows of each kind side by side."""
 
 from collections.abc import Sequence
-from typing import Protocol
 
 import numpy as np
 
 from mbd_ros.core.ensembles.counting import kinetic_parts
 from mbd_ros.core.ensembles.independent_rows import independent
 from mbd_ros.core.particles.molecules import Molecules
+from mbd_ros.core.particles.particle_system import PairForces
 from mbd_ros.core.particles.row_geometry import DistanceRow, PointRow, SurfaceRow
 from mbd_ros.core.state import Array
-
-
-class PairForces(Protocol):
-    """Forces between points of different molecules."""
-
-    def add_force(self, x: Array, force: Array) -> float:
-        """Adds forces at positions, both of shape (n, 3); returns their potential energy."""
 
 
 class MoleculeRows:

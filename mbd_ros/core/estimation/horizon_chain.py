@@ -8,8 +8,7 @@ For d_i+1 = F d_i + gap + G w_i, a prior of d_0 and white measurements r_i = H_i
 
 h and nu are multipliers of bounds on d and w. A new sample changes means; covariances change only
 behind a node that was linearised again. Sources: H. E. Rauch, F. Tung, C. T. Striebel,
-AIAA J. 3(8) (1965); A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975, sec. 13.2, on costates;
-M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13(3) (2003), on exchanges of active rows.
+AIAA J. 3(8) (1965); A. E. Bryson, Y.-C. Ho, Applied Optimal Control, 1975, sec. 13.2, on costates.
 """
 
 from collections.abc import Sequence
@@ -18,15 +17,11 @@ import eigenpy
 import numpy as np
 
 from mbd_ros.core.estimation.horizon_nodes import Answer, Arrival, Link, Node, Whitening
-from mbd_ros.core.estimation.horizon_sweep import Responses, one_by_one, sweep
+from mbd_ros.core.estimation.horizon_sweep import Responses, exchanged, sweep
 from mbd_ros.core.estimation.process import Process, Transition
 from mbd_ros.core.estimation.window_bounds import Sides, WindowBounds
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
-
-_EXCHANGES = 40
-_AT_ONCE = 12  # exchanges of many rows, which may go round; then one by one
-_PUSHES = 1.0e-12  # multipliers of that size are none, of the largest
 
 
 class HorizonChain:
@@ -136,34 +131,23 @@ class HorizonChain:
         Raises:
             SolveError: Exchanges do not end.
         """
-        sides = self._guess(nodes, bounds)
-        beyond = bounds.beyond(*free)
-        sides = np.where(sides == 0, beyond, sides).astype(np.int8)
-        known = Responses(nodes, links, bounds, free)
-        for k in range(_EXCHANGES):
-            rows = np.flatnonzero(sides)
-            push = known.multipliers(rows, sides)
-            steps, w = known.moved(rows, push)
-            beyond = np.where(sides == 0, bounds.beyond(steps, w), 0).astype(np.int8)
-            wrong = push * sides.ravel()[rows] < -_PUSHES * np.abs(push).max(initial=0.0)
-            wrong &= ~bounds.are_equal[rows]
-            if not beyond.any() and not wrong.any():
-                shares = push * (bounds.sided(sides) - known.outside(rows))
-                gone = bounds.give_way(rows, shares)
-                if not len(gone):
-                    self._acting = nodes[-1].t, sides
-                    there = bounds.values(steps, w).ravel()[rows]
-                    residual = float(np.abs(there - bounds.sided(sides)).max(initial=0.0))
-                    return Answer(steps, links[-1].after, residual, len(rows), w)
-                self.released |= set(gone.tolist())
-                sides[:, gone] = 0
-            elif k < _AT_ONCE:
-                sides = sides + beyond
-                sides.flat[rows[wrong]] = 0
-            else:
-                sides = one_by_one(bounds, known)
+        sides, known = self._guess(nodes, bounds), Responses(nodes, links, bounds, free)
+        worst = bounds.worst(bounds.beyond(*free), *free, is_alone=False)
+        known.add(np.flatnonzero((sides != 0) | (worst != 0)))
         self._acting = None
-        raise SolveError("the bounds of the window contradict one another")
+        while True:
+            sides, push = exchanged(bounds, known, sides)
+            rows = np.flatnonzero(sides)
+            gone = bounds.give_way(rows, push * (bounds.sided(sides) - known.outside(rows)))
+            if not len(gone):
+                break
+            self.released |= set(gone.tolist())
+            sides[:, gone] = 0
+        self._acting = nodes[-1].t, sides
+        steps, w = known.moved(rows, push)
+        there = bounds.values(steps, w).ravel()[rows]
+        residual = float(np.abs(there - bounds.sided(sides)).max(initial=0.0))
+        return Answer(steps, links[-1].after, residual, len(rows), w)
 
     def _guess(self, nodes: Sequence[Node], bounds: WindowBounds) -> Sides:
         """Rows that acted in the last answer, as far as they are still in the window."""

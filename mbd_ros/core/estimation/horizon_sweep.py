@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 from mbd_ros.core.estimation.horizon_nodes import Link, Node
 from mbd_ros.core.estimation.window_bounds import Sides, WindowBounds
 from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
 
 _JITTER = 1.0e-13  # of rows that nearly say the same
-_CHANGES = 300  # of single rows
+_CHANGES = 300  # of rows
+_AT_ONCE = 20  # changes of several rows, then of single ones
 
 
 def sweep(
@@ -83,6 +85,7 @@ class Responses:
         self._at = dict[int, int]()
         n, nw = links[0].before.shape[0], len(bounds.lower_w)
         self._steps, self._w = np.zeros((len(nodes), n, 0)), np.zeros((len(nodes) - 1, nw, 0))
+        self._table = np.zeros((0, 0))
 
     def add(self, rows: NDArray[np.intp]) -> None:
         """Find those of new rows, all in one sweep."""
@@ -92,9 +95,13 @@ class Responses:
         pushes = self._bounds.pushes(new)
         n = self._steps.shape[1]
         steps, w = sweep(self._nodes, self._links, np.zeros((n, len(new))), pushes)
+        w = w.reshape(*self._w.shape[:2], len(new))
         self._at |= {row: len(self._at) + k for k, row in enumerate(new)}
         self._steps = np.concatenate((self._steps, steps), axis=2)
-        self._w = np.concatenate((self._w, w.reshape(*self._w.shape[:2], len(new))), axis=2)
+        self._w = np.concatenate((self._w, w), axis=2)
+        columns = self._bounds.changes(np.array(list(self._at)), steps, w)
+        own = columns[: len(self._table)]
+        self._table = np.block([[self._table, own], [own.T, columns[len(own) :]]])
 
     def outside(self, rows: NDArray[np.intp]) -> Array:
         """What rows bound where none acts."""
@@ -108,7 +115,7 @@ class Responses:
     def table(self, rows: NDArray[np.intp]) -> Array:
         """Change of each row by the multiplier of each row, symmetric, shape (k, k)."""
         at = [self._at[row] for row in rows.tolist()]
-        return self._bounds.changes(rows, self._steps, self._w)[:, at]
+        return self._table[np.ix_(at, at)]
 
     def moved(self, rows: NDArray[np.intp], push: Array) -> tuple[Array, Array]:
         """Steps and disturbances under multipliers."""
@@ -118,32 +125,56 @@ class Responses:
         return steps + self._steps.dot(whole), w + self._w.dot(whole) if len(w) else w
 
 
-def one_by_one(bounds: WindowBounds, known: Responses) -> Sides:
-    """Rows that act at the optimum, by least squares with signs, which always ends.
+def exchanged(bounds: WindowBounds, known: Responses, sides: Sides) -> tuple[Sides, Array]:
+    """Rows that act at the optimum, and their multipliers: least squares with signs.
+
+    Of each row of the nodes the worst one is taken in at a time, of all of them where that takes
+    long, which always ends.
 
     Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, ch. 23.
+
+    Args:
+        bounds: The rows.
+        known: What their multipliers do.
+        sides: Rows that act, as far as one can guess.
+
+    Raises:
+        SolveError: Exchanges do not end.
     """
-    sides, push = np.zeros(bounds.shape, dtype=np.int8), np.zeros(bounds.exist.size)
-    for _ in range(_CHANGES):
+    push = np.zeros(bounds.exist.size)
+    while True:
+        rows = np.flatnonzero(sides)
+        wanted = known.multipliers(rows, sides)
+        wrong = (wanted * sides.ravel()[rows] <= 0.0) & ~bounds.are_equal[rows]
+        if not wrong.any():
+            break
+        sides.flat[rows[wrong]] = 0
+    push[rows] = wanted
+    for k in range(_CHANGES):
         rows = np.flatnonzero(sides)
         steps, w = known.moved(rows, push[rows])
         beyond = np.where(sides == 0, bounds.beyond(steps, w), 0).astype(np.int8)
         if not beyond.any():
-            break
-        sides = sides + bounds.worst(beyond, steps, w)
-        for _ in range(sides.size):
-            rows = np.flatnonzero(sides)
-            wanted, signs = known.multipliers(rows, sides), sides.ravel()[rows]
-            wrong = (wanted * signs <= 0.0) & ~bounds.are_equal[rows]
-            if not wrong.any():
-                push[rows] = wanted
-                break
-            shares = np.full(len(rows), np.inf)
-            shares[wrong] = push[rows[wrong]] / (push[rows[wrong]] - wanted[wrong])
-            push[rows] += shares.min() * (wanted - push[rows])
-            left = rows[shares <= shares.min()]
-            push[left], sides.flat[left] = 0.0, 0
-    return sides
+            return sides, push[rows]
+        sides = sides + bounds.worst(beyond, steps, w, is_alone=k >= _AT_ONCE)
+        _shortened(bounds, known, sides, push)
+    raise SolveError("the bounds of the window contradict one another")
+
+
+def _shortened(bounds: WindowBounds, known: Responses, sides: Sides, push: Array) -> None:
+    """Go towards the multipliers of the rows as far as none pulls, and leave out those that do."""
+    while True:
+        rows = np.flatnonzero(sides)
+        wanted, signs = known.multipliers(rows, sides), sides.ravel()[rows]
+        wrong = (wanted * signs <= 0.0) & ~bounds.are_equal[rows]
+        if not wrong.any():
+            push[rows] = wanted
+            return
+        shares = np.full(len(rows), np.inf)
+        shares[wrong] = push[rows[wrong]] / (push[rows[wrong]] - wanted[wrong])
+        push[rows] += shares.min() * (wanted - push[rows])
+        left = rows[shares <= shares.min()]
+        push[left], sides.flat[left] = 0.0, 0
 
 
 def solved(S: Array, right: Array) -> Array:

@@ -84,14 +84,17 @@ class WindowBounds:
             released &= set(np.flatnonzero(beyond).tolist())
             self.exist[:, sorted(released)] = False
 
-    def worst(self, beyond: Sides, steps: Array, w: Array) -> Sides:
-        """The row alone that is farthest beyond its bound."""
+    def worst(self, beyond: Sides, steps: Array, w: Array, *, is_alone: bool) -> Sides:
+        """The node at which each row is farthest beyond its bound; one row where it is alone."""
         there = self.values(steps, w)
         off = np.where(beyond > 0, self._lower - there, there - self._upper)
-        found = np.zeros_like(beyond)
-        if beyond.any():
-            at = int(np.argmax(np.where(beyond != 0, off, -1.0)))
-            found.flat[at] = beyond.flat[at]
+        off, found = np.where(beyond != 0, off, -1.0), np.zeros_like(beyond)
+        columns = np.arange(off.shape[1])
+        nodes = off.argmax(axis=0)
+        if is_alone:
+            columns = columns[[int(off[nodes, columns].argmax())]]
+        at = nodes[columns], columns
+        found[at] = beyond[at]
         return found
 
     def give_way(self, rows: NDArray[np.intp], shares: Array) -> NDArray[np.intp]:

@@ -14,6 +14,7 @@ from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import Accelerator
 from mbd_ros.core.particles.molecules import Molecules
 from mbd_ros.core.particles.particle_mass import ParticleMass
+from mbd_ros.core.particles.particle_rows import ParticleRows
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
@@ -76,6 +77,11 @@ class ParticleSystem:
         self.chart = Chart(SimpleNamespace(nq=self.nq, nv=self.nv, joints=()))
         self.internals, self.loads, self.layout = Internals(()), Loads(self.nv), RowLayout()
         self.clusters = any(kind.clusters for kind in kinds)
+        rows = ParticleRows(self.kinds, self.slices)
+        self.split, self.row_count = rows.split, rows.count
+        self.residual, self.jacobian, self.rate = rows.residual, rows.jacobian, rows.rate
+        self.rate_of_rows, self.multipliers = rows.rate_of_rows, rows.multipliers
+        self.pushed = rows.pushed
         self.evaluations = 0
         self._mass = ParticleMass(np.repeat(self.masses, 3))
 
@@ -96,19 +102,9 @@ class ParticleSystem:
         return self.rows
 
     @property
-    def row_count(self) -> int:
-        """How many rows there are."""
-        return sum(kind.count * len(kind.rows) for kind in self.kinds)
-
-    @property
     def held(self) -> "ParticleSystem":
         """All bilateral rows: those of positions, there are no others."""
         return self
-
-    def split(self, flat: Array) -> list[Array]:
-        """Views of a vector of all coordinates, (atoms, 3, lanes) of each kind."""
-        pairs = zip(self.kinds, self.slices, strict=True)
-        return [kind.lanes(flat[mine]) for kind, mine in pairs]
 
     def joined(self, lanes: Sequence[Array]) -> Array:
         """A vector of all coordinates, fresh, from (atoms, 3, lanes) of each kind."""
@@ -172,34 +168,6 @@ class ParticleSystem:
         """The mass matrix as an operator."""
         return self._mass
 
-    def residual(self, t: float, q: Array) -> Array:
-        """G of all rows, shape (m,)."""
-        parts = zip(self.kinds, self.split(q), strict=True)
-        return _joined([kind.residual(x) for kind, x in parts])
-
-    def rate_of_rows(self, q: Array, v: Array) -> Array:
-        """G' = J v of all rows, shape (m,), without forming J."""
-        parts = zip(self.kinds, self.split(q), self.split(v), strict=True)
-        return _joined([kind.rate(x, w) for kind, x, w in parts])
-
-    def rate(self, t: float, q: Array) -> Array:
-        """dg/dt, shape (m,)."""
-        return np.zeros(self.row_count)
-
-    def jacobian(self, t: float, q: Array) -> Array:
-        """dg/dq, shape (m, nv), dense."""
-        J, row = np.zeros((self.row_count, self.nv)), 0
-        for kind, x, mine in zip(self.kinds, self.split(q), self.slices, strict=True):
-            own = [row for cluster in kind.clusters for row in cluster.rows]
-            directions = [one.direction(x) for one in own]
-            for lane in range(kind.count):
-                first = mine.start + 3 * len(kind.atoms) * lane
-                for one, D in zip(own, directions, strict=True):
-                    for i, sign in one.ends:
-                        J[row, first + 3 * i : first + 3 * i + 3] += sign * D[:, lane]
-                    row += 1
-        return J
-
     def factorise(self, t: float, q: Array) -> RowFactor:
         """Factor of the rows, dense; brings `condition` up to date."""
         factor = RowFactor(self._mass.dense, self.jacobian(t, q))
@@ -207,22 +175,6 @@ class ParticleSystem:
         return factor
 
     factor_at = factorise
-
-    def multipliers(self, q: Array, v: Array, force: Array) -> Array:
-        """Multipliers of all rows, shape (m,), block by block."""
-        parts = zip(self.kinds, *map(self.split, (q, v, force)), strict=True)
-        lam = [kind.multipliers(x, w, kind.accelerations(f)) for kind, x, w, f in parts]
-        return _joined(lam)
-
-    def pushed(self, q: Array, lam: Array) -> Array:
-        """J' lam, shape (nv,), block by block."""
-        force, first = np.zeros(self.nv), 0
-        for kind, x, mine in zip(self.kinds, self.split(q), self.slices, strict=True):
-            m = sum(len(cluster.rows) for cluster in kind.clusters) * kind.count
-            of_kind = lam[first : first + m].reshape(kind.count, -1).T
-            kind.lanes(force[mine])[...] = kind.pushed(x, of_kind)
-            first += m
-        return force
 
     def accelerations(self, q: Array, v: Array) -> tuple[Array, Array]:
         """Accelerations, shape (nv,), and multipliers, shape (m,)."""
@@ -290,8 +242,3 @@ class ParticleSystem:
 
         kinds = [replace(kind, count=count * kind.count) for kind in self.kinds]
         return ParticleSystem(kinds, None, self._force_unit, self.steps)
-
-
-def _joined(parts: Sequence[Array]) -> Array:
-    """Rows of shape (m, lanes) of each kind as one vector, molecule by molecule."""
-    return np.concatenate([part.T.ravel() for part in parts])
