@@ -5,8 +5,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbd_ros as mbd
+from mbd_ros.core.inverse.muscle_dynamics import DEFAULTS, MuscleDynamics, muscles_with
+from mbd_ros.core.inverse.muscle_trial import Excited, Trial
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
+from mbd_ros.core.prediction.collocation import RADAU, collocation
 from mbd_ros.errors import MbdError
+from mbd_ros.jobs.muscles.trial_points import Points
 
 pytest.importorskip("casadi", reason="casadi is optional (extra: compiled)")
 
@@ -49,8 +53,6 @@ def test_forces_balance_what_the_motion_needs(swing, excited):
 
 
 def test_fibres_move_as_their_balance_with_the_tendon_says(swing, excited):
-    from mbd_ros.core.inverse.muscle_dynamics import DEFAULTS, MuscleDynamics, muscles_with
-
     muscles = muscles_with(MuscleDynamics("tendon", *DEFAULTS), swing[0].muscles)
     elastic = [muscle for muscle in muscles if muscle.is_elastic]
     assert elastic
@@ -75,6 +77,73 @@ def test_a_finer_mesh_changes_little(swing):
     )
     off = [np.abs(coarse[n] - fine[n]).max() for n in coarse if n.endswith(".activation")]
     assert max(off) < 1e-3
+
+
+def known_trial(muscles, points):
+    """Muscles at alternate sides of one joint, with one reserve."""
+    t, ones = points.whole, np.ones((len(points.whole), len(muscles)))
+    laws = [muscle.contraction for muscle in muscles]
+    moved = 1.0 + 0.04 * np.sin(6.0 * t[:, None] + np.arange(len(muscles)))
+    length = np.array([law.slack for law in laws]) + moved * [law.optimal for law in laws]
+    sides = np.where(np.arange(len(muscles)) % 2, 0.04, -0.04)
+    columns = np.tile(np.append(sides, 10.0), (len(t), 1, 1))
+    needed, none = 20.0 * np.sin(8.0 * t)[:, None], 0.0 * ones
+    strength = ones * [law.peak for law in laws]
+    least = ones * [float(muscle.dynamics.least) for muscle in muscles]
+    reserve = np.array([[-np.inf], [np.inf]])
+    given = strength, none, columns, needed, np.array([20.0]), ones, none, none, least, reserve
+    return Trial(np.diff(points.knots), length, *given)
+
+
+@pytest.mark.parametrize("kind", ["activation", "tendon"])
+def test_a_part_beside_a_known_rest_is_solved_as_the_whole_is(swing, kind):
+    """Slopes of the cost beyond a part leave it at the optimum of the whole."""
+    from mbd_ros.compiled.program.muscle_blocks import Part
+    from mbd_ros.compiled.program.muscle_program import MuscleProgram
+
+    muscles = muscles_with(MuscleDynamics(kind, *DEFAULTS), swing[0].muscles)
+    points = Points(np.linspace(0.0, 0.4, 21), collocation(RADAU, 3))
+    trial = known_trial(muscles, points)
+    elastic = [i for i, muscle in enumerate(muscles) if muscle.is_elastic]
+    fibers = np.array([muscles[i].contraction.optimal for i in elastic])
+    ones = np.ones((len(points.whole), 1))
+    a, effort, lengths = 0.1 * ones * np.ones(len(muscles)), 0.0 * ones, ones * fibers
+    guess = Excited(a, a, effort, lengths, 0.0 * lengths)
+    given = muscles, trial, points.scheme, 2.0
+    whole = MuscleProgram(*given).solve(guess, 1e-10, 500, False)
+    solved = np.zeros(20, dtype=bool)
+    solved[6:12] = True
+    rest = np.append(True, np.repeat(~solved, 3))[:, None]
+    start = Excited(*(np.where(rest, w, g) for w, g in zip(whole.excited, guess, strict=True)))
+    part = MuscleProgram(*given, Part(solved, whole.slopes)).solve(start, 1e-10, 500, False)
+    assert whole.is_good and part.is_good
+    off = np.abs(np.hstack(part.excited) - np.hstack(whole.excited))
+    assert off.max() < 1e-5
+    assert part.cost == pytest.approx(whole.cost, rel=1e-6)
+
+
+def test_intervals_are_halved_until_activations_are_as_good_as_asked(swing):
+    leg, motion = swing
+    given = {"reserves": 1.0, "dynamics": "activation"}
+    coarse, mended, fine = (
+        leg.muscle_forces(motion, **given, interval=width, tolerance=tolerance)["samples"]
+        for width, tolerance in ((0.1, 1.0), (0.1, 1e-5), (0.005, 1.0))
+    )
+    names = [name for name in fine if name.endswith(".activation")]
+    off = [max(np.abs(one[n] - fine[n]).max() for n in names) for one in (coarse, mended)]
+    assert off[1] < 0.5 * off[0]
+
+
+def test_a_cost_with_a_kink_has_an_optimum(swing):
+    """Metabolic cost grows with the first power of excitations and reserves."""
+    leg, motion = swing
+    given = {"reserves": 1.0, "dynamics": "activation", "objective": "metabolic"}
+    found = leg.muscle_forces(motion, **given)["samples"]
+    assert np.abs([found[name] for name in found if name.endswith(".lacking")]).max() < 1e-9
+    other = leg.muscle_forces(motion, **given, exponent=2)["samples"]
+    names = [f"{muscle.name}.excitation" for muscle in leg.muscles]
+    first, second = (np.array([one[name] for name in names]) for one in (found, other))
+    assert (first < 0.02).mean() > (second < 0.02).mean()  # few do all the work
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,8 @@ from mbd_ros.core.muscles.pennation import Pennation
 from mbd_ros.core.prediction.collocation import Collocation
 from mbd_ros.core.state import Array
 
+_ROUND = 1.0e-3  # of full excitation and of the optimal force of a reserve
+
 
 def price_form(exponent: float) -> Form:
     """Of x it gives w |x|^p; data: w."""
@@ -146,5 +148,7 @@ def _differences(scheme: Collocation) -> tuple[Array, Array]:
 
 
 def _power(x: Any, p: float) -> Any:
-    """|x|^p, smooth where the exponent allows it."""
-    return x**2 if p == 2.0 else (x**2) ** (0.5 * p)
+    """|x|^p; where it has a kink at 0, a little round there."""
+    if p == 2.0:
+        return x**2
+    return (x**2) ** (0.5 * p) if p > 2.0 else (x**2 + _ROUND**2) ** (0.5 * p) - _ROUND**p

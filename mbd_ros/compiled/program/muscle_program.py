@@ -32,6 +32,7 @@ from mbd_ros.core.state import Array
 
 _FASTEST, _LONGEST = 3.0, 2.0  # bounds of fibres, per largest speed and per optimal length
 _SHORTEST = 0.05  # per optimal length, where fibres may be as short as they like
+_USUAL = 0.05  # excitation: what prices are scaled by
 _ROOM = 0.1  # beyond what excitations bound: two bounds at one place take iterations
 _OPTIONS = {  # rows and unknowns are in usual sizes: scaling and refinement take time alone
     "mu_init": 0.01,
@@ -92,7 +93,10 @@ class MuscleProgram:
         is_open = np.concatenate((np.full(self._first, self._part.solved[0]), is_open))
         known = np.where(is_open, np.nan, start)
         start = np.where(is_open, np.clip(start, lower, upper), start)
-        cost_size = float(self._trial.widths.sum()) / self._points
+        curvature = self._trial.prices * np.maximum(guess.activation, _USUAL) ** (
+            self._exponent - 2.0
+        )
+        cost_size = float(self._trial.widths.sum() * curvature.mean()) / self._points
         program = SparseProgram(self._blocks.all(), self._sizes(), known, cost_size)
         given: dict[str, Any] = {"accuracy": accuracy, "most": most, "is_near": is_near}
         given["options"] = {**_OPTIONS, **(_NEAR if is_near else {})}

@@ -9,7 +9,7 @@ import numpy as np
 
 from mbd_ros.core.estimation.torque_estimator import Observations
 from mbd_ros.core.inverse.muscle_dynamics import MuscleDynamics, muscles_with
-from mbd_ros.core.inverse.muscle_trial import Optimal
+from mbd_ros.core.inverse.muscle_trial import Excited, Optimal
 from mbd_ros.core.inverse.static_optimization import Shares, StaticOptimization
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
 from mbd_ros.core.muscles.muscle import Muscle
@@ -23,6 +23,7 @@ from mbd_ros.jobs.muscles.trial_points import Points, graded
 from mbd_ros.jobs.progress import announce
 
 _ACCURACY, _MOST, _ROUNDS = 1.0e-6, 500, 2
+_FINER = 0.1  # accuracy where costs are flat at small excitations
 _NAMED = 3  # worst places of a trial that cannot be produced
 
 
@@ -73,17 +74,19 @@ def shared_trial(
     count = max(1, math.ceil(times[-1] / asked.interval - 1.0e-6))
     points = Points(graded(times[-1], count), collocation(RADAU, asked.degree))
 
-    def program(points: Points, part: Any = None) -> MuscleProgram:
+    def solved(points: Points, guess: Excited, part: Any = None) -> Optimal:
         trial = known_at(points, solver, muscles, samples, wrenches, measured)
-        return MuscleProgram(muscles, trial, points.scheme, p, part)
+        program = MuscleProgram(muscles, trial, points.scheme, p, part)
+        accuracy = _ACCURACY if p == 2.0 else _FINER * _ACCURACY
+        return program.solve(guess, accuracy, _MOST, part is not None)
 
     announce(f"excitations on {len(points.knots) - 1} intervals")
     guess = first_guess(muscles, points.whole, times, static)
-    found = program(points).solve(guess, _ACCURACY, _MOST, False)
+    found = solved(points, guess)
     if not found.is_good:
         begin = float(samples.stamps[0] * NANOSECOND)
         raise SolveError(_why(solver, found, begin + points.times))
-    points, found, off = _refined(muscles, points, found, asked.tolerance, program)
+    points, found, off = _refined(muscles, points, found, asked.tolerance, solved)
     return _at_samples(solver, muscles, points, found, static, times, off)
 
 
@@ -92,7 +95,7 @@ def _refined(
     points: Points,
     found: Optimal,
     tolerance: float,
-    program: Callable[..., Any],
+    solved: Callable[..., Optimal],
 ) -> tuple[Points, Optimal, float]:
     """Solved again on halves of intervals and beside them, where errors are larger than that."""
     from mbd_ros.compiled.program.muscle_blocks import Part
@@ -105,7 +108,7 @@ def _refined(
         announce(f"excitations again on {is_near.sum()} of {len(is_near)} intervals")
         part = Part(is_near, points.at_starts(found.slopes, finer))
         guess = moved(points, found.excited, finer.whole)
-        better = program(finer, part).solve(guess, _ACCURACY, _MOST, True)
+        better = solved(finer, guess, part)
         if not better.is_good:
             break
         largest = max(found.residual, better.residual)
