@@ -9,14 +9,14 @@ from prediction_scenes import EFFORT, drives, joint, link, urdf
 
 import mbd_ros as mbd
 from mbd_ros.core.state import State
-from mbd_ros.errors import NotConvergedError
+from mbd_ros.errors import NotConvergedError, SceneError, SolveError
 from mbd_ros.scene.locate import find_task
 
 HOLDS = {"stance": {"contacts": ["sole"], "until": {"late": {"time": 10.0}}, "then": "stance"}}
 WEIGHT = 3.0 * 9.81
 
 
-def standing(axis, friction=1.0):
+def standing(axis, friction=1.0, points=((0.0, 0.0, 0.0),)):
     """A body of 2 kg that slides on a foot of 1 kg, which is free to move and held."""
     robot = urdf(
         link("rail_x", 0.001),
@@ -28,7 +28,10 @@ def standing(axis, friction=1.0):
         joint("z", "prismatic", "rail_y", "foot", "0 0 1"),
         joint("slide", "prismatic", "foot", "body", axis),
     )
-    between = [{"frame": "foot", "points": [[0.0, 0.0, 0.0]]}, {"half_space": [0, 0, 1]}]
+    between = [
+        {"frame": "foot", "points": [list(one) for one in points]},
+        {"half_space": [0, 0, 1]},
+    ]
     sole = {"name": "sole", "type": "rigid", "between": between, "friction": friction}
     sections = {"contacts": [sole], "phases": HOLDS, "actuators": drives("slide")}
     return mbd.scene_from(sections, urdf=robot)
@@ -64,6 +67,25 @@ def test_a_ground_that_is_too_slippery_is_named():
     task["end"] = {"slide.position": 0.4, "slide.velocity": 0.0}
     with pytest.raises(NotConvergedError, match="blocks: friction cone of sole is at its lower"):
         standing("0.6 0.8 0", 0.1).predict(task)
+
+
+def test_a_foot_on_several_points_is_refused():
+    """Its multipliers are not determined: what points share among them is nobody's equation."""
+    scene = standing("1 0 0", points=((0.0, -0.1, 0.0), (0.0, 0.1, 0.0)))
+    task = {"duration": 1.0, "end": {"slide.position": 0.1}, "goals": EFFORT}
+    with pytest.raises(SceneError, match="sole is held at several points.*accepted: one point"):
+        scene.predict(task)
+
+
+def test_contacts_that_hold_the_same_are_named():
+    """Heel and toe: each of them keeps the foot from sliding."""
+    scene = standing("1 0 0")
+    sole = scene.entries["contacts"][0]
+    two = [dict(sole) | {"name": name} for name in ("heel", "toe")]
+    phases = {"stance": HOLDS["stance"] | {"contacts": ["heel", "toe"]}}
+    task = {"duration": 1.0, "end": {"slide.position": 0.1}, "goals": EFFORT}
+    with pytest.raises(SolveError, match="depend on each other.*heel.normal.*toe.normal"):
+        scene.with_(contacts=two, phases=phases).predict(task)
 
 
 SPRING, REST = 800.0, 0.5  # N/m, m

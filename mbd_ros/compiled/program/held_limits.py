@@ -93,7 +93,7 @@ def _cone(
     tangents = [each for each in crossing.tangents if len(each)]
     if not tangents or crossing.mu == math.inf:
         return []
-    if crossing.mu == 0.0:
+    if used * crossing.mu == 0.0:
         along = [_along(equations, each, forces) for each in tangents]
         return [(Quantity(f"friction of {contact}", one), (0.0, 0.0)) for one in along]
     if len(tangents) > 1:

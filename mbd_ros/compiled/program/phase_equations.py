@@ -20,6 +20,7 @@ from mbd_ros.compiled.symbols.scalar import scalars
 from mbd_ros.core.prediction.unknowns import Sizes
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
 
 LETTERS = "qvzawul"  # what is unknown at a point
 _BASE_Q = 7
@@ -169,10 +170,21 @@ class PhaseEquations:
         return g.ravel(), of_positions, rate.ravel(), of_all
 
     def solved(self, values: Mapping[str, Array], times: Array, p: Array) -> dict[str, Array]:
-        """Accelerations, multipliers and rates at states with inputs: letters a, l, w."""
+        """Accelerations, multipliers and rates at states with inputs: letters a, l, w.
+
+        Raises:
+            SolveError: Rows depend on each other.
+        """
         given = {key: values[key] for key in "qvzu"}
         r, K = self.answers(given, times, p)
-        x = np.linalg.solve(K, -r[:, :, None])[:, :, 0] if r.size else r
+        try:
+            x = np.linalg.solve(K, -r[:, :, None])[:, :, 0] if r.size else r
+        except np.linalg.LinAlgError as error:
+            names = ", ".join(row.name for row in self.equations.system.multiplier_rows)
+            raise SolveError(
+                "rows that hold depend on each other, and no equation tells their forces apart: "
+                f"among {names}; accepted: fewer contacts or constraints at once"
+            ) from error
         nv, m = self.sizes.nv, self.sizes.m
         return {"a": x[:, :nv], "l": x[:, nv : nv + m], "w": x[:, nv + m :]}
 
