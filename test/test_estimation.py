@@ -368,6 +368,22 @@ def swung(model, t):
     return *at(t)[:2], np.array(tau)
 
 
+def test_limits_that_measurements_contradict_are_given_up_by_name():
+    """An elbow that stands 0.2 rad beyond the limit of its URDF, and comes back."""
+    found = estimated_arm("moving_horizon")
+    tracker, robot, names = tracked(found), found.scene.robot, found.process.bounded_names
+    upper, rng = robot.model.upperPositionLimit, np.random.default_rng(2)
+    for k in range(1, 61):
+        q = np.where(np.arange(7) == 3, upper + (0.2 if k < 31 else -0.2), 0.0)
+        if k == 31:
+            assert [names[i] for i in found.estimator.given_up] == ["joint4.position"]
+            assert tracker.belief.x.q[3] == pytest.approx(upper[3] + 0.2, abs=1e-3)
+            found.estimator.begin(tracker.belief.x._replace(q=q), found.prior, (k - 1) * STEP)
+        tau = np.array(pin.rnea(robot.model, robot.model.createData(), q, 0.0 * q, 0.0 * q))
+        tracker.take(k * STEP, q + 1e-4 * rng.standard_normal(7), tau)
+    assert not found.estimator.given_up
+
+
 @pytest.mark.parametrize("wrist", ["known at the start", "locked"])
 def test_two_encoders_of_a_coupled_arm_show_the_torque_of_a_push(wrist):
     """On the elbow, which follows the shoulder by its tendon, and on the abduction beside it.

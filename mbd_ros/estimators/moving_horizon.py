@@ -128,6 +128,11 @@ class MovingHorizon(Estimator):
             self.belief = self._solved(judged.innovation)
         return self.belief
 
+    @property
+    def given_up(self) -> list[int]:
+        """Bounds of states that measurements contradict, by their place in `Process.bounded`."""
+        return sorted(self._chain.released)
+
     def window(self) -> list[Any]:
         """States of the process at the samples of the window, by all of its measurements."""
         pairs = zip(self._nodes, self._offsets, strict=True)

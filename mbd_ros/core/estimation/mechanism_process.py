@@ -180,6 +180,11 @@ class MechanismProcess:
         """As `Process.bounded`: limits of joints, and bounds of internal states."""
         return self._limits.at(x)
 
+    @property
+    def bounded_names(self) -> tuple[str, ...]:
+        """Names of what has bounds, in the order of `bounded`."""
+        return self._limits.names
+
     def _begun(self, x: State, u: Array | None) -> State:
         stepper = self.simulation.stepper
         stepper.restart()

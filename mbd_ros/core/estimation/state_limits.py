@@ -16,6 +16,10 @@ class StateLimits:
         tangent: Of its states.
         positions: Whether joints keep their position limits.
         velocities: Whether they keep their velocity limits.
+
+    Attributes:
+        names: Of what has bounds, in the order of `at`: `<joint>.position`, `<joint>.velocity`,
+            then internal states.
     """
 
     def __init__(
@@ -34,7 +38,11 @@ class StateLimits:
         upper = [j.upper for j in held] + fastest
         self._lower = np.array([*lower, *internals.lower[self._z]], dtype=np.float64)
         self._upper = np.array([*upper, *internals.upper[self._z]], dtype=np.float64)
-
+        self.names = (
+            *(f"{joint.name}.position" for joint in held),
+            *(f"{joint.name}.velocity" for joint in quick),
+            *(internals.names[i] for i in self._z),
+        )
         self._may_be_wrong = np.arange(len(self._lower)) < len(held) + len(quick)
 
     def at(self, y: State) -> Bounded:

@@ -10,6 +10,7 @@ from mbd_ros.core.estimation.lag_window import LagWindow
 from mbd_ros.core.estimation.tracker import Taken, Tracker
 from mbd_ros.core.model.wrenches import WrenchBuffer
 from mbd_ros.core.state import NANOSECOND, Array
+from mbd_ros.estimators.moving_horizon import MovingHorizon
 from mbd_ros.jobs.estimate.estimation import EFFORTS, estimation_of
 from mbd_ros.jobs.estimate.unknowns import inner
 from mbd_ros.nodes.shell.parameters import ParameterError
@@ -199,6 +200,8 @@ class EstimatorPipeline:
             return OK, "nothing measured yet"
         belief, faults = self.tracker.belief, self.tracker.faults.found()
         reasons = [f"{name}: {what}" for name, what in faults.items()]
+        if given_up := self._given_up():
+            reasons.append(f"beyond limits, which do not count: {given_up}")
         if not belief.is_trusted:
             reasons.append(belief.remark)
         else:
@@ -206,6 +209,13 @@ class EstimatorPipeline:
             if consistency.nis > consistency.nis_band[1] and consistency.fault:
                 reasons.append(consistency.fault)
         return (WARN, "; ".join(reasons)) if reasons else (OK, "estimates published")
+
+    def _given_up(self) -> str:
+        """Limits that measurements contradict, by name."""
+        found, estimator = self.estimation.process, self.estimation.estimator
+        if not isinstance(estimator, MovingHorizon):
+            return ""
+        return ", ".join(found.bounded_names[i] for i in estimator.given_up)
 
     def details(self) -> dict[str, str]:
         """Of the newest estimate, for diagnostics."""
