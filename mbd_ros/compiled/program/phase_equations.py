@@ -50,7 +50,12 @@ class PhaseEquations:
     @cached_property
     def residual(self) -> Any:
         """The r, a column of size nv + m + nz."""
-        return ca.vertcat(self._motion, self.equations.balance(self.symbols["w"]))
+        return ca.vertcat(self._motion, self._balance)
+
+    @cached_property
+    def _balance(self) -> Any:
+        """What is zero where w are the rates of internal states, a column."""
+        return self.equations.balance(self.symbols["w"])
 
     @cached_property
     def _motion(self) -> Any:
@@ -192,7 +197,7 @@ class PhaseEquations:
     def _balances(self) -> Any:
         """(t, q, v, z, a, w, u, l, p) -> balance g of internal states, own slopes by w and z."""
         given = [self.symbols[key] for key in ("t", *LETTERS, "p")]
-        g, w, z = self.equations.balance(self.symbols["w"]), self.symbols["w"], self.symbols["z"]
+        g, w, z = self._balance, self.symbols["w"], self.symbols["z"]
         count = range(self.sizes.nz)
         slopes = [ca.densify(ca.jacobian(g[i], by[i])) for by in (w, z) for i in count]
         return ca.Function("balances", given, ca.cse([ca.vertcat(ca.densify(g), *slopes)]))
@@ -227,7 +232,7 @@ class PhaseEquations:
     @cached_property
     def _stiff(self) -> np.ndarray:
         """Which internal states have rates that solve an equation, shape (nz,)."""
-        by = ca.jacobian(self.equations.balance(self.symbols["w"]), self.symbols["w"])
+        by = ca.jacobian(self._balance, self.symbols["w"])
         return np.array([not by[i, i].is_constant() for i in range(self.sizes.nz)], dtype=np.bool_)
 
 

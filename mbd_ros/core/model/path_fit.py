@@ -14,6 +14,7 @@ from mbd_ros.core.state import Array
 Measure = Callable[[Array], tuple[Array, Array, Array]]
 
 _GOOD = 1.0e-8  # m: finer is not asked for
+_WORSE = 1.3  # times the least error: fewer terms are worth that
 _DEGREES = (4, 6, 8, 10, 12, 14, 16)
 _MOST_TERMS = 80
 _POSES = 6  # per term of the largest polynomial
@@ -37,7 +38,7 @@ class Fit(NamedTuple):
 
 
 def fitted(limits: Array, measure: Measure) -> Fit:
-    """The polynomial of the least degree that is good, or the best one.
+    """The polynomial of the least degree that is nearly as good as any.
 
     Args:
         limits: Lower and upper limit of each joint, shape (joints, 2).
@@ -50,7 +51,7 @@ def fitted(limits: Array, measure: Measure) -> Fit:
     positions, lengths, slopes = measure(0.5 * (low + high) - 0.5 * (high - low) * np.cos(angles))
     z, scale = (2.0 * positions - low - high) / (high - low), 2.0 / (high - low)
     tested = np.arange(len(z)) < _TESTS * len(z)
-    best = Fit([], 0, np.inf, np.inf)
+    found = list[Fit]()
     for degree in degrees:
         exponents = _exponents(degree, len(limits))
         A = _equations(z, scale, exponents)
@@ -58,12 +59,13 @@ def fitted(limits: Array, measure: Measure) -> Fit:
         rows = A[~tested].reshape(-1, len(exponents))
         c = np.linalg.lstsq(rows, b[~tested].ravel(), rcond=None)[0]
         off = np.sqrt(np.mean((A[tested] @ c - b[tested]) ** 2, axis=0))
-        if off[1:].max() < best.arm_error:
-            terms = [[*map(float, e), float(one)] for e, one in zip(exponents, c, strict=True)]
-            best = Fit(terms, degree, float(off[0]), float(off[1:].max()))
+        terms = [[*map(float, e), float(one)] for e, one in zip(exponents, c, strict=True)]
+        found.append(Fit(terms, degree, float(off[0]), float(off[1:].max())))
         if off.max() < _GOOD:
             break
-    return best
+    length, arm = min(one.length_error for one in found), min(one.arm_error for one in found)
+    fine = (f for f in found if f.length_error <= _WORSE * length and f.arm_error <= _WORSE * arm)
+    return next(fine, found[-1])
 
 
 def _exponents(degree: int, joints: int) -> NDArray[np.intp]:

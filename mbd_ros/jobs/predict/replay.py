@@ -66,7 +66,8 @@ def simulation_of(scene: Scene, motions: Sequence[PhaseMotion], error: float) ->
         error: Between nodes, relative.
     """
     tolerance = min(max(_SHARE * error, _LEAST), _MOST)
-    solver = {"type": "plain"} if scene.solver.compiles else None
+    is_stiff = any(muscle.is_elastic for muscle in scene.muscles) and not scene.phases
+    solver = {"type": "auto" if is_stiff else "plain"}
     dt = max(motion.duration for motion in motions)
     accurate = {"type": "dop853", "tolerance": tolerance}
     options = {"integrator": accurate, "dt": dt, "solver": solver}
