@@ -79,7 +79,7 @@ def _equations(z: Array, scale: Array, exponents: NDArray[np.intp]) -> Array:
     joints = z.shape[1]
     found = np.ones((len(z), 1 + joints, len(exponents)))
     for i in range(joints):
-        values, slopes, _ = chebyshev(z[:, i], int(exponents.max()))
+        values, slopes = chebyshev(z[:, i], int(exponents.max()), 1)
         value, slope = (np.array(one)[exponents[:, i]].T for one in (values, slopes))
         for row in range(1 + joints):
             found[:, row] *= slope * scale[i] if row == 1 + i else value

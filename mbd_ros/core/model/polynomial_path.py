@@ -56,19 +56,19 @@ class PolynomialPath(Path):
 
     def length(self, k: Kinematics, x: State) -> float:
         """The l [m]."""
-        found: float = self._sum(self._factors(k, x), [0] * len(self._joints))
+        found: float = self._sum(self._factors(k, x, 0), [0] * len(self._joints))
         return found
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
         """The l [m] and its slopes, shape (nv,)."""
-        factors, slope = self._factors(k, x), k.zeros(self._nv)
+        factors, slope = self._factors(k, x, 1), k.zeros(self._nv)
         for i, joint in enumerate(self._joints):
             slope[joint.v] = self._sum(factors, self._orders(i))
         return self._sum(factors, [0] * len(self._joints)), slope
 
     def drift(self, k: Kinematics, x: State) -> float:
         """The sum of l_ij v_i v_j [m/s^2]."""
-        factors, bent = self._factors(k, x), 0.0
+        factors, bent = self._factors(k, x, 2), 0.0
         for i, joint in enumerate(self._joints):
             for j, other in enumerate(self._joints):
                 slope = self._sum(factors, self._orders(i, j))
@@ -77,7 +77,7 @@ class PolynomialPath(Path):
 
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and its slopes of n samples."""
-        factors = self._products([k.q[:, joint.q] for joint in self._joints])
+        factors = self._products([k.q[:, joint.q] for joint in self._joints], 1)
         slopes = np.zeros((len(k.q), self._nv))
         for i, joint in enumerate(self._joints):
             slopes[:, joint.v] = self._sum(factors, self._orders(i))
@@ -87,15 +87,16 @@ class PolynomialPath(Path):
         """How often the length is differentiated by each joint."""
         return [joints.count(i) for i in range(len(self._joints))]
 
-    def _factors(self, k: Kinematics, x: State) -> list[list[Any]]:
-        return self._products([k.item(x.q, joint.q) for joint in self._joints])
+    def _factors(self, k: Kinematics, x: State, order: int) -> list[list[Any]]:
+        return self._products([k.item(x.q, joint.q) for joint in self._joints], order)
 
-    def _products(self, positions: Sequence[Any]) -> list[list[Any]]:
-        """Factors of all terms: of each joint its value, slope and bend by the position."""
+    def _products(self, positions: Sequence[Any], order: int) -> list[list[Any]]:
+        """Factors of all terms: of each joint its value, slope and bend, as far as asked for."""
         found = []
         for i, q in enumerate(positions):
             scale, exponents = float(self._scale[i]), self._exponents[:, i]
-            orders = chebyshev((q - float(self._middle[i])) * scale, int(exponents.max()))
+            z = (q - float(self._middle[i])) * scale
+            orders = chebyshev(z, int(exponents.max()), order)
             found.append([np.array(one)[exponents] * scale**n for n, one in enumerate(orders)])
         return found
 
@@ -106,20 +107,22 @@ class PolynomialPath(Path):
         return self._coefficients.dot(product)
 
 
-def chebyshev(z: Any, degree: int) -> list[list[Any]]:
-    """T_0 .. T_degree at z, their first and their second derivatives.
+def chebyshev(z: Any, degree: int, order: int) -> list[list[Any]]:
+    """T_0 .. T_degree at z, then as many of their derivatives, up to the second one, as asked for.
 
     Args:
         z: A float, an array or a symbol.
         degree: The largest one.
+        order: 0, 1 or 2.
     """
-    none = 0.0 * z
-    values, slopes, bends = [none + 1.0, z], [none, none + 1.0], [none, none]
+    none, double = 0.0 * z, 2.0 * z
+    found = [[none + 1.0, z], [none, none + 1.0], [none, none]][: order + 1]
     for _ in range(degree - 1):
-        bends.append(4.0 * slopes[-1] + 2.0 * z * bends[-1] - bends[-2])
-        slopes.append(2.0 * values[-1] + 2.0 * z * slopes[-1] - slopes[-2])
-        values.append(2.0 * z * values[-1] - values[-2])
-    return [values, slopes, bends]
+        for n in range(order, -1, -1):
+            of = found[n]
+            more = 2.0 * n * found[n - 1][-1] if n else 0.0
+            of.append(double * of[-1] + more - of[-2])
+    return found
 
 
 def _exponents(given: Array) -> NDArray[np.intp]:
