@@ -157,7 +157,7 @@ class Tracker:
             x = process.near(process.at_rest(self.belief.x, t), values, P)
             estimator.begin(x, P, t)
             return
-        usual = dt if np.isinf(self._usual) else self._usual
+        usual = dt if self._usual == np.inf else self._usual
         self._usual = usual + _FORGETTING * (dt - usual)
         estimator.predict(u, t)
 
