@@ -1,7 +1,7 @@
 """Polynomials in place of paths that wrap: what is searched for has no symbols."""
 
 from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -13,18 +13,11 @@ from mbd_ros.errors import SceneError, SolveError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.path_entries import path_of
 from mbd_ros.scene.path_search import QuickestSearch
+from mbd_ros.scene.wrapping_entries import wrapping
 
 _LOOKS = 40  # random poses that show which joints change a path
 _STILL = 1.0e-9  # m per rad or m: an arm of none
 _LOST = 0.2  # of the poses: so many may have no path
-_SECTIONS = ("muscles", "forces", "actuators", "constraints")
-
-
-class Place(NamedTuple):
-    """Where the entry of a path stands: section, and place or key there."""
-
-    section: str
-    at: int | str
 
 
 def with_fitted_paths(
@@ -70,18 +63,6 @@ def _copied(section: Any) -> Any:
     if isinstance(section, Mapping):
         return dict(section)
     return [dict(one) for one in section]
-
-
-def wrapping(scene: Scene) -> list[Place]:
-    """Entries of paths that wrap."""
-    paths = scene.entries.get("paths") or {}
-    found = [Place("paths", name) for name, one in paths.items() if one.get("wraps")]
-    for section in _SECTIONS:
-        for i, one in enumerate(scene.entries.get(section) or ()):
-            path = one.get("path")
-            if isinstance(path, Mapping) and path.get("wraps"):
-                found.append(Place(section, i))
-    return found
 
 
 class _Fitter:

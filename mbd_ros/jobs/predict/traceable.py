@@ -11,6 +11,7 @@ from mbd_ros.core.projection.independent_limits import independent_limits
 from mbd_ros.jobs.predict.recording import Recording
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.predict_task import PredictTask
+from mbd_ros.scene.wrapping_entries import wrapping
 
 _SHARES = np.linspace(0.0, 1.0, 200)
 _BESIDE = 0.5  # rad or m beyond what a task names of a joint without limits
@@ -32,8 +33,6 @@ def traceable(scene: Scene, task: PredictTask, recording: Recording | None = Non
     Raises:
         SceneError: Muscles or paths that cannot be replaced.
     """
-    from mbd_ros.scene.fitted_paths import with_fitted_paths, wrapping
-
     lines = list[str]()
     if task.muscles is not None:
         from mbd_ros.scene.smooth_muscles import with_smooth_muscles
@@ -42,6 +41,8 @@ def traceable(scene: Scene, task: PredictTask, recording: Recording | None = Non
         lines.append(line)
     if not wrapping(scene):
         return scene, task, tuple(lines)
+    from mbd_ros.scene.fitted_paths import with_fitted_paths
+
     limits = dict(_limits(scene, task, recording))
     scene, more, joints = with_fitted_paths(scene, limits)
     held = {f"{name}.position": limits[name] for name in sorted(joints)}
