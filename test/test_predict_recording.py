@@ -133,6 +133,25 @@ def test_what_sensors_and_parts_show_has_a_name():
     assert found["samples"]["slide.position"][-1] == pytest.approx(1.0, abs=1.0e-4)
 
 
+def test_what_parts_show_and_inputs_are_tracked(tmp_path):
+    """The force of a spring and the command that a motion had lead along it again."""
+    path = {"points": [{"frame": "ground", "xyz": [0.0, 0.5, 0.0]}, {"frame": "mass"}]}
+    spring = {"type": "path_spring", "name": "band", "path": path, "stiffness": 20.0}
+    scene = mass().with_(forces=[spring | {"resting_length": 0.1}])
+    task = {"duration": 1.0, "end": {"slide.position": 1.0, "slide.velocity": 0.0}}
+    once = scene.predict(task | {"goals": [{"type": "effort"}]})
+    file = str(tmp_path / "once.npz")
+    once.to(file)
+    goals = [
+        {"type": "tracking", "of": "band.tension", "file": file, "weight": 1.0e3},
+        {"type": "tracking", "of": "slide.effort", "file": file},
+    ]
+    again = scene.predict({"duration": 1.0, "goals": goals, "tolerance": 1.0e-5})
+    for name in ("band.tension", "slide.effort"):
+        off = again["samples"][name] - once["samples"][name]
+        assert np.abs(off).max() < 2.0e-2 * np.abs(once["samples"][name]).max()
+
+
 @pytest.mark.parametrize(
     ("recording", "said"),
     [

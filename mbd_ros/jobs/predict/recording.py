@@ -19,6 +19,7 @@ from mbd_ros.scene.predict_recording import RecordingTask
 from mbd_ros.scene.predict_task import PredictTask
 
 _DEGREE = 5  # of splines, as inverse dynamics takes them
+_DRIFT = 0.1  # of a step: a low-pass that resamples ends a little earlier
 _STEP = 1.0e-4  # s, of differences of orientations
 
 
@@ -58,11 +59,13 @@ def recorded(scene: Scene, task: PredictTask) -> tuple[Scene, PredictTask, Recor
     scene = scene if external is None else external.scene
     motion = _read(scene, asked)
     times = motion.stamps * NANOSECOND
-    first, last = asked.times or (float(times[0]), float(times[-1]))
-    if not times[0] <= first < last <= times[-1]:
+    slack = _DRIFT * float(np.diff(times).min())
+    first, last = np.clip(asked.times or times[[0, -1]], times[0], times[-1]).tolist()
+    wanted = asked.times or (first, last)
+    if first >= last or max(abs(first - wanted[0]), abs(last - wanted[1])) > slack:
         raise SceneError(
-            f"{task.source}: predict.recording.times: {first:g} .. {last:g} s, the motion "
-            f"{asked.motion} is at {times[0]:g} .. {times[-1]:g} s"
+            f"{task.source}: predict.recording.times: {wanted[0]:g} .. {wanted[1]:g} s, "
+            f"the motion {asked.motion} is at {times[0]:g} .. {times[-1]:g} s"
         )
     if external is not None:
         loads, loaded = external.at, tuple(scene.wrenches)
