@@ -33,22 +33,14 @@ class PhaseTask:
 
 
 def phases_of(
-    given: Sequence[Any],
-    bounds: Mapping[str, Range],
-    goals: tuple[Goal, ...],
-    start: Mapping[str, Range],
-    end: Mapping[str, Range],
-    where: str,
-    folder: Path,
+    given: Sequence[Any], motion: PhaseTask, where: str, folder: Path
 ) -> tuple[PhaseTask, ...]:
     """The phases of a list of entries.
 
     Args:
         given: Entries.
-        bounds: That hold in all phases, where they do not say otherwise.
-        goals: That count in all phases.
-        start: Ranges at the beginning of the first phase.
-        end: The same at the end of the last one.
+        motion: What is asked of all of it: bounds that hold in all phases, where they do not say
+            otherwise, goals that count in all, ranges at its start and end.
         where: File and key, for the messages.
         folder: From which files are looked for.
 
@@ -58,10 +50,10 @@ def phases_of(
     found = list[PhaseTask]()
     for i, entry in enumerate(given):
         one: PhaseTask = schema.call(_phase, entry, f"{where}[{i}]", f"{where}[{i}]", folder)
-        whole = {**bounds, **one.bounds}
-        found.append(replace(one, bounds=whole, goals=(*goals, *one.goals)))
-    found[0] = replace(found[0], start={**start, **found[0].start})
-    found[-1] = replace(found[-1], end={**end, **found[-1].end})
+        bounds = {**motion.bounds, **one.bounds}
+        found.append(replace(one, bounds=bounds, goals=(*motion.goals, *one.goals)))
+    found[0] = replace(found[0], start={**motion.start, **found[0].start})
+    found[-1] = replace(found[-1], end={**motion.end, **found[-1].end})
     return tuple(found)
 
 

@@ -147,17 +147,16 @@ def _task(
     track = recording_of(recording, f"{where}.recording", folder)
     if duration is None and not phases and track is None:
         raise SceneError(f"{where}: key 'duration' is missing")
-    shared = goals_of(goals, f"{where}.goals", folder)
-    always = ranges(bounds or {}, f"{where}.bounds")
     is_free = start == FREE or bool(periodic) or bool(symmetric) or track is not None
-    first = {} if start is None or start == FREE else ranges(start, f"{where}.start")
-    last = ranges(end or {}, f"{where}.end")
-    some: tuple[PhaseTask, ...]
-    if phases:
-        some = phases_of(phases, always, shared, first, last, f"{where}.phases", folder)
-    else:
-        span = None if duration is None else duration_of(duration, f"{where}.duration")
-        some = (PhaseTask("", span, always, first, last, shared),)
+    whole = PhaseTask(
+        "",
+        None if duration is None or phases else duration_of(duration, f"{where}.duration"),
+        ranges(bounds or {}, f"{where}.bounds"),
+        {} if start is None or start == FREE else ranges(start, f"{where}.start"),
+        ranges(end or {}, f"{where}.end"),
+        goals_of(goals, f"{where}.goals", folder),
+    )
+    some = phases_of(phases, whole, f"{where}.phases", folder) if phases else (whole,)
     if not any(one.goals for one in some):
         raise SceneError(f"{where}: key 'goals' is missing, such as [{{type: effort}}]")
     lines, file = guess_of(guess, f"{where}.guess", folder)

@@ -131,16 +131,14 @@ def _at_samples(
     lengths = points.states(found.excited.fiber_length, times)
     elastic = [muscle.name for muscle in muscles if muscle.is_elastic]
     fibers = dict(zip(elastic, lengths.T, strict=True))
-    frames, n = static.frames, len(muscles)
+    frames = static.frames
     strength, offset = rigid_tensions(muscles, frames)
     force = np.maximum(strength * activation + offset, 0.0)
     for i, muscle in enumerate(muscles):
         if muscle.is_elastic:
             law = muscle.contraction
             force[:, i] = law.tendon(ArrayNumbers, frames.length[:, i], fibers[muscle.name])
-    lacking = static.needed - np.einsum("tji,ti->tj", frames.columns[:, :, :n], force)
-    reserve = np.einsum("tij,tj->ti", np.linalg.pinv(frames.columns[:, :, n:]), lacking)
-    lacking -= np.einsum("tji,ti->tj", frames.columns[:, :, n:], reserve)
+    reserve, lacking = _reserved(static, force)
     excitation = points.inputs(found.excited.excitation, times)
     count = len(times)
     shares = replace(
@@ -160,6 +158,15 @@ def _at_samples(
         f"are off by at most {off:.1e}",
     )
     return Shared(shares, excitation, fibers, remarks)
+
+
+def _reserved(static: Shares, force: Array) -> tuple[Array, Array]:
+    """What reserves add to muscles, shape (samples, reserves), and what is lacking then."""
+    columns, n = static.frames.columns, force.shape[1]
+    lacking = static.needed - np.einsum("tji,ti->tj", columns[:, :, :n], force)
+    reserve = np.einsum("tij,tj->ti", np.linalg.pinv(columns[:, :, n:]), lacking)
+    lacking -= np.einsum("tji,ti->tj", columns[:, :, n:], reserve)
+    return reserve, lacking
 
 
 def _why(solver: StaticOptimization, found: Optimal, at: Array) -> str:

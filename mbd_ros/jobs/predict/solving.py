@@ -12,7 +12,7 @@ from mbd_ros.core.prediction.unknowns import PhaseMotion, steps_of
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.predict.interruption import Interruption, interruptible
-from mbd_ros.jobs.predict.looks import SAVED, Passing, look_at, next_mesh
+from mbd_ros.jobs.predict.looks import SAVED, Look, Passing, look_at, next_mesh
 from mbd_ros.jobs.predict.problem import Problem
 from mbd_ros.jobs.progress import PERIOD, announce
 from mbd_ros.scene.predict_task import PredictTask
@@ -109,34 +109,39 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
         )
         solved = solution.solved
         total += solved.iterations
-        errors = [
-            error_of(phase, motion, solution.parameters)
-            for phase, motion in zip(problem.program.phases, solution.motions, strict=True)
-        ]
-        worst = max(float(one.max(initial=0.0)) for one in errors)
-        lines.append(mesh_line(round_, solution, worst))
+        found, looks = _judged(problem, solution, task, total, lines)
+        lines.append(mesh_line(round_, solution, found.worst))
         say(lines[-1])
-        looks = [look_at(problem, i, solution, task) for i in range(len(errors))]
-        every = [passing for one in looks for passing in one.passings]
-        passings = tuple(sorted(every, key=lambda one: -one.severity))
-        is_fine = worst <= task.tolerance and not any(one.passed.any() for one in looks)
-        found = Found(problem, solution, errors, is_fine, total, lines, passings)
         if not problem.program.keeps_limits(solution):
             return found._replace(keeps_limits=False)
         costs.append(solved.cost)
         is_settled = all(one.is_settled for one in looks) or _is_same(costs, task.tolerance)
-        if (is_fine and is_settled) or not solved.is_good:
+        if (found.is_fine and is_settled) or not solved.is_good:
             return found
         if interruption.is_asked:
             return found._replace(is_fine=False, is_interrupted=True)
         guesses = [
             moved(motion, next_mesh(motion.mesh, error, look, task.tolerance))
-            for motion, error, look in zip(solution.motions, errors, looks, strict=True)
+            for motion, error, look in zip(solution.motions, found.errors, looks, strict=True)
         ]
         parameters, links = solution.parameters, solution.links
         cost_size = max(abs(solved.cost), _LEAST * cost_size)
         is_near = problem.recording is None
     return found
+
+
+def _judged(
+    problem: Problem, solution: "Solution", task: PredictTask, total: int, lines: list[str]
+) -> tuple[Found, list[Look]]:
+    """What there is, and what it says of the mesh that it wants."""
+    pairs = zip(problem.program.phases, solution.motions, strict=True)
+    errors = [error_of(*pair, solution.parameters) for pair in pairs]
+    looks = [look_at(problem, i, solution, task) for i in range(len(errors))]
+    every = [passing for one in looks for passing in one.passings]
+    passings = tuple(sorted(every, key=lambda one: -one.severity))
+    found = Found(problem, solution, errors, False, total, lines, passings)
+    is_fine = found.worst <= task.tolerance and not any(one.passed.any() for one in looks)
+    return found._replace(is_fine=is_fine), looks
 
 
 def _is_same(costs: Sequence[float], tolerance: float) -> bool:
