@@ -68,7 +68,7 @@ def simulation_of(scene: Scene, motions: Sequence[PhaseMotion], error: float) ->
     tolerance = min(max(_SHARE * error, _LEAST), _MOST)
     is_stiff = any(muscle.is_elastic for muscle in scene.muscles) and not scene.phases
     word = "auto" if is_stiff else "plain"
-    solver = {"type": word} if scene.solver.compiles else None
+    solver = {"type": word} if scene.solver.tier == "auto" else None
     dt = max(motion.duration for motion in motions)
     accurate = {"type": "dop853", "tolerance": tolerance}
     options = {"integrator": accurate, "dt": dt, "solver": solver}
