@@ -1,13 +1,14 @@
 """Prediction beside OpenSim Moco, in one run, one thread: CPU seconds and errors of the cost.
 
-python benchmarks/moco.py
+python benchmarks/moco.py [--peer PYTHON]
 
-Prints JSON. `opensim` must be importable by this Python. Both sides count building and solving,
-ours with the integration that checks the result; imports count on neither. Moco takes 50
+Prints JSON. PYTHON, by default this one, has the wheel `opensim`. Both sides count building and
+solving, ours with the integration that checks the result; imports count on neither. Moco takes 50
 intervals, and twice as many again until its error is not larger than ours: `ratio` is that to 50
 intervals, `ratio_at_equal_error` that to the last ones.
 """
 
+import argparse
 import json
 import math
 import subprocess
@@ -44,11 +45,14 @@ OURS = {
 
 def main() -> int:
     """Time both sides of every problem."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--peer", default=sys.executable, help="a Python with the wheel opensim")
+    peer = parser.parse_args().peer
     mbd_ros.load_scene("hopper").predict("hop")  # imports
     found = {}
     for name, (make, tolerance) in OURS.items():
         seconds, error, cost = ours(make, tolerance)
-        runs = list(moco(name, cost, error))
+        runs = list(moco(peer, name, cost, error))
         found[name] = {
             "seconds": round(seconds, 4),
             "error": error,
@@ -60,11 +64,11 @@ def main() -> int:
     return 0
 
 
-def moco(name: str, cost: float, error: float) -> Iterator[dict[str, float]]:
+def moco(peer: str, name: str, cost: float, error: float) -> Iterator[dict[str, float]]:
     """Moco on finer and finer meshes, until its error is not larger than one."""
     intervals, off = FIRST, math.inf
     while off > error and intervals <= LAST:
-        words = [sys.executable, str(HERE / "moco_problems.py"), name, str(intervals)]
+        words = [peer, str(HERE / "moco_problems.py"), name, str(intervals)]
         words += ["free"] * (name in FREE)
         theirs = json.loads(subprocess.run(words, capture_output=True, check=True).stdout)
         off = abs(theirs["cost"] / cost - 1.0)

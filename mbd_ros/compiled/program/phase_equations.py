@@ -93,12 +93,6 @@ class PhaseEquations:
                 found[i, j] = value
         return found
 
-    @property
-    def depends_on_time(self) -> bool:
-        """Whether anything depends on the time itself."""
-        whole = ca.vertcat(self.residual, self.positions, self.velocities)
-        return bool(ca.depends_on(whole, self.symbols["t"]))
-
     @cached_property
     def flat(self) -> np.ndarray:
         """Pairs of places in q and v of coordinates that add up, shape (.., 2)."""

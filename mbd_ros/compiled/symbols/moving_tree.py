@@ -60,15 +60,11 @@ def _placement(link: Link, q: Any) -> tuple[Turn, Vector]:
 
 def _about_axis(angle: Any, offset: float) -> PlaneTurn:
     """A turn about z, of sine and cosine of the angle alone where the offset is a right one."""
-    c, s = cosine_and_sine(offset)
-    if s == 0.0:
-        sign = turns.known(c)
-        return PlaneTurn(2, turns.by(sign, ca.cos(angle)), turns.by(sign, ca.sin(angle)))
-    if c == 0.0:
-        sign = turns.known(s)
-        sine, cosine = turns.by(sign, ca.sin(angle)), turns.by(sign, ca.cos(angle))
-        return PlaneTurn(2, turns.less(ZERO, sine), cosine)
-    return PlaneTurn(2, ca.cos(angle + offset), ca.sin(angle + offset))
+    c, s = (turns.known(one) for one in cosine_and_sine(offset))
+    if c is not ZERO and s is not ZERO:
+        return PlaneTurn(2, ca.cos(angle + offset), ca.sin(angle + offset))
+    ahead = PlaneTurn(2, ca.cos(angle), ca.sin(angle)).vector((c, s, ZERO))
+    return PlaneTurn(2, ahead[0], ahead[1])
 
 
 def _constant(axis: int, angle: float) -> Turn:

@@ -140,10 +140,11 @@ class PhaseMotion(NamedTuple):
         flat_q, flat_v = np.ones(q.shape[1], dtype=bool), np.ones(v.shape[1], dtype=bool)
         for i, (at_q, at_v) in enumerate(self.bases):
             flat_q[at_q : at_q + 7], flat_v[at_v : at_v + 6] = False, False
-            steps = self.points["d"][: len(v), 6 * i : 6 * i + 6]
-            pairs = zip(steps, v[:, at_v : at_v + 6], strict=True)
+            used, place = np.unique(own, return_inverse=True)
+            steps = self.points["d"][used, 6 * i : 6 * i + 6]
+            pairs = zip(steps, v[used, at_v : at_v + 6], strict=True)
             rates = np.array([BODY.rate(d, one) for d, one in pairs])
-            for row, d in enumerate(_summed(integrals, rates[own])):
+            for row, d in enumerate(_summed(integrals, rates[place.reshape(own.shape)])):
                 found[row, at_q : at_q + 7] = BODY.integrate(q[row, at_q : at_q + 7], d)
         found[:, flat_q] = q[:, flat_q] + _summed(integrals, v[:, flat_v][own])
         return found

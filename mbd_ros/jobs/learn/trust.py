@@ -8,6 +8,8 @@ all blocks (one-sided t test, 1 %, since there are several joints).
 Source: D. Wolpert, Neural Networks 5, 1992, 241 (predictions of left-out parts as a measure).
 """
 
+from typing import Any
+
 import numpy as np
 
 from mbd_ros.core.state import Array
@@ -38,12 +40,8 @@ def trusted(unseen: Array, wanted: Array, blocks: int, together: bool) -> Array:
         return np.repeat(of.sum(axis=1)[:, None], u.shape[1], axis=1) if together else of
 
     share = np.clip(sums(u * y).sum(axis=0) / np.maximum(sums(u * u).sum(axis=0), 1e-300), 0, 1)
-    before, after = sums(np.square(y)), sums(np.square(y - share * u))
-    gain = 1.0 - after / np.maximum(before, 1e-300)
-    error = gain.std(axis=0, ddof=1) / np.sqrt(blocks)
-    is_sure = gain.mean(axis=0) > _STUDENT.get(blocks, _NORMAL) * error
-    is_worth = after.sum(axis=0) < (1.0 - _LEAST) * before.sum(axis=0)
-    return np.asarray(np.where(is_sure & is_worth, share, 0.0))
+    explains = _surely_less(sums(np.square(y - share * u)), sums(np.square(y)))
+    return np.asarray(np.where(explains, share, 0.0))
 
 
 def is_better(squares: Array, best: Array) -> bool:
@@ -53,7 +51,12 @@ def is_better(squares: Array, best: Array) -> bool:
         squares: Sum of the squares of each block, shape (blocks,).
         best: The same of another way.
     """
-    gain = 1.0 - squares / np.maximum(best, 1.0e-300)
-    error = gain.std(ddof=1) / np.sqrt(len(gain))
-    is_sure = gain.mean() > _STUDENT.get(len(gain), _NORMAL) * error
-    return bool(is_sure and squares.sum() < (1.0 - _LEAST) * best.sum())
+    return bool(_surely_less(squares, best))
+
+
+def _surely_less(after: Array, before: Array) -> Any:
+    """The same of each column of blocks, shape (blocks, ..)."""
+    gain = 1.0 - after / np.maximum(before, 1.0e-300)
+    error = gain.std(axis=0, ddof=1) / np.sqrt(len(gain))
+    is_sure = gain.mean(axis=0) > _STUDENT.get(len(gain), _NORMAL) * error
+    return is_sure & (after.sum(axis=0) < (1.0 - _LEAST) * before.sum(axis=0))
