@@ -15,6 +15,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 os.environ["OMP_NUM_THREADS"] = "1"
@@ -45,7 +46,9 @@ def main() -> int:
         words = [given.model, given.motion, given.external, given.first, given.last]
         words += [given.interval, given.weight, given.effort]
         command = [given.peer, str(script), *map(str, words)]
-        said = subprocess.run(command, check=True, capture_output=True, text=True).stdout
+        with TemporaryDirectory() as folder:  # MocoTrack leaves files where it runs
+            ran = subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder)
+        said = ran.stdout
         result["opensim"] = json.loads(said[said.rindex("{") :])
         result["ratio"] = result["seconds"] / result["opensim"]["seconds"]
     json.dump(result, sys.stdout, indent=2)

@@ -97,9 +97,12 @@ def test_it_leaves_recording_scenes_picture_and_page(arm):
     bag = Bag(out)
     counts = {topic: len(rows) for topic, rows in bag.rows.items()}
     assert counts["/joint_states"] >= 3 * RATE + 1
-    assert counts[f"{OWN}/state"] == counts["/joint_states"]
+    (shown, _), (answered, _) = (
+        bag.stamped(t, "effort") for t in ("/joint_states", f"{OWN}/state")
+    )
+    assert set(answered) >= set(shown[:-1])  # a state may be shown again until it is answered
     for topic in ("/simulator/commands", TORQUES, "/inverse_dynamics/constraint_forces", FORCES):
-        assert counts[topic] >= 0.98 * counts["/joint_states"]
+        assert counts[topic] >= 0.98 * len(set(shown))
     assert "/clock" in counts and "/diagnostics" in counts
     assert "NO" not in text[text.index("Checks") :]
 
@@ -107,12 +110,13 @@ def test_it_leaves_recording_scenes_picture_and_page(arm):
 def test_time_is_that_of_the_simulation_tick_by_tick(arm):
     """Nothing is skipped, and what the actuators exert is what was commanded the tick before.
 
-    The first state may be repeated, for listeners that come late.
+    A state may be repeated, as it was, for listeners that come late and for lost messages.
     """
     bag = Bag(arm[1])
     stamps, effort = bag.stamped("/joint_states", "effort", ROBOT_JOINTS)
-    begin = np.count_nonzero(stamps == stamps[0]) - 1
-    stamps, effort = stamps[begin:], effort[begin:]
+    is_new = np.diff(stamps) != 0.0
+    np.testing.assert_array_equal(effort[1:][~is_new], effort[:-1][~is_new])
+    stamps, effort = (rows[np.r_[True, is_new]] for rows in (stamps, effort))
     np.testing.assert_allclose(np.diff(stamps), 1 / RATE, atol=2e-9)
     assert stamps[0] == 1e-9  # ROS reads 0 as no time at all
     commands = np.array([m.data for _, m in bag.rows["/simulator/commands"]])
@@ -181,8 +185,10 @@ def test_coupling_forces_and_rates_are_those_of_the_bag(arm):
     assert [low, high] == pytest.approx([late.min(), late.max()], rel=1e-3)
     assert 0.0 < error < 0.05 * late.max()
     logs = [log for log, _ in bag.rows["/joint_states"]]
+    states, _ = bag.stamped("/joint_states", "effort")
     count, rate, simulated = row(text, "Topics", "/joint_states")
-    assert (count, simulated) == (len(logs), pytest.approx(RATE, rel=1e-3))
+    assert count == len(logs)
+    assert simulated == pytest.approx((count - 1) / np.ptp(states), rel=1e-3)
     assert rate == pytest.approx((count - 1) / (logs[-1] - logs[0]) * 1e9, rel=1e-3)
     answers = [log for log, _ in bag.rows["/simulator/commands"]]
     if len(answers) == len(logs):
