@@ -13,9 +13,9 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess, LogInfo
 from launch.substitutions import Command, LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import LifecycleNode, Node
 from launch_ros.parameter_descriptions import ParameterValue
-from launch_ros.substitutions import FindPackageShare
 
 from launch import LaunchDescription
+from mbd_ros.nodes.launching import shared_file
 
 REFERENCE = "/sliding_mode_controller/joint_trajectory"
 RECORDED = (
@@ -27,10 +27,9 @@ RECORDED = (
 
 def generate_launch_description() -> LaunchDescription:
     """Plant, controller with wrong masses, inverse dynamics, reference, recorder and RViz."""
-    share = FindPackageShare("mbd_ros")
-    arm = PathJoinSubstitution([share, "config", "scenes", "controlled_arm.yaml"])
-    urdf = PathJoinSubstitution([share, "config", "robots", "prosthetic_arm.urdf"])
-    layout = PathJoinSubstitution([share, "config", "rviz", "demo.rviz"])
+    arm = shared_file("config", "scenes", "controlled_arm.yaml")
+    urdf = shared_file("config", "robots", "prosthetic_arm.urdf")
+    layout = shared_file("config", "rviz", "demo.rviz")
     folder = LaunchConfiguration("folder")
     return LaunchDescription(
         [

@@ -173,48 +173,52 @@ def calls_of(path):
     return [(getattr(call.func, "id", ""), call) for call in calls]
 
 
-def declared_arguments(path):
-    """Name -> default, as text, of the arguments of a launch file."""
-    named = [call for name, call in calls_of(path) if name == "DeclareLaunchArgument"]
-    defaults = [{k.arg: k.value for k in call.keywords}["default_value"] for call in named]
-    return {c.args[0].value: ast.unparse(d) for c, d in zip(named, defaults, strict=True)}
+def literal(path, name):
+    """The value of a name that a file gives at its top; `launch` itself comes with ROS only."""
+    body = ast.parse((ROOT / path).read_text(encoding="utf-8")).body
+    (value,) = (n.value for n in body if isinstance(n, ast.Assign) and n.targets[0].id == name)
+    return ast.literal_eval(value)
 
 
-def test_launch_files_can_be_included_together():
-    """An argument of one is seen by the next: what has one name means one thing for all."""
-    files = sorted(names("launch", "*.py") - {"launch/demo.launch.py"})
-    arguments = {path: declared_arguments(path) for path in files}
-    assert len(files) >= 6
-    defaults = {}
-    for path, own in arguments.items():
-        assert {"scene", "namespace", "autostart", "use_sim_time"} <= own.keys()
-        (scene,) = re.findall(r"scenes.*?(\w+\.yaml)", (ROOT / path).read_text(encoding="utf-8"))
-        assert scene == "controlled_arm.yaml"
-        for name, default in own.items():
-            assert defaults.setdefault(name, default) == default, (path, name)
-    parameters = [name for own in arguments.values() for name in own if "parameters" in name]
-    assert len(parameters) == len(set(parameters)) == 6
-    assert "parameters" not in parameters
+def first_words(named, *functions):
+    """First arguments of calls of some functions, where they are given as text."""
+    first = [call.args[0] for name, call in named if name in functions]
+    return {argument.value for argument in first if isinstance(argument, ast.Constant)}
 
 
-@pytest.mark.parametrize("path", sorted(names("launch", "*.py")))
-def test_a_launch_file_names_what_there_is(path):
-    """Executables, parameters, arguments and files; launch itself comes with ROS only."""
+LAUNCHING = "mbd_ros/nodes/launching.py"
+ARGUMENTS, TOPICS = literal(LAUNCHING, "ARGUMENTS"), literal(LAUNCHING, "TOPICS")
+LOOPS = {"launch/bringup.launch.py", "launch/demo.launch.py"}  # of several nodes
+
+
+@pytest.mark.parametrize("path", sorted(names("launch", "*.py") - LOOPS))
+def test_a_launch_file_of_a_node_names_what_there_is(path):
+    ((_, call),) = (named for named in calls_of(path) if named[0] == "node_launch")
+    name, *topics = (argument.value for argument in call.args)
+    assert path == f"launch/{name}.launch.py"
+    assert set(topics) <= TOPICS.keys() & ARGUMENTS.keys()
+    assert (ROOT / f"config/nodes/{name}.yaml").is_file()
+    clock = {k.arg: k.value.value for k in call.keywords}.get("clock", "use_sim_time")
+    assert {"scene", "autostart", clock} <= parameters_of(name)
+
+
+@pytest.mark.parametrize("path", sorted({*LOOPS, LAUNCHING}))
+def test_launch_files_of_loops_name_what_there_is(path):
+    """Executables, parameters, arguments and files."""
     named = calls_of(path)
-    nodes = [{k.arg: k.value for k in c.keywords} for n, c in named if n == "LifecycleNode"]
-    assert nodes
-    for node in nodes:
-        executable = node["executable"].value
-        assert (node["package"].value, node["name"].value) == ("mbd_ros", executable)
+    for call in (c for n, c in named if n == "LifecycleNode"):
+        node = {k.arg: k.value for k in call.keywords}
         assert "namespace" in node
-        (values,) = (e for e in node["parameters"].elts if isinstance(e, ast.Dict))
-        assert {key.value for key in values.keys} <= parameters_of(executable)
-    arguments = {c.args[0].value for n, c in named if n == "DeclareLaunchArgument"}
-    assert {c.args[0].value for n, c in named if n == "LaunchConfiguration"} == arguments
-    for _, declared in (entry for entry in named if entry[0] == "DeclareLaunchArgument"):
-        given = {k.arg: k.value for k in declared.keywords}
-        assert {"default_value", "description"} <= given.keys()
-        assert len(given["description"].value) > 5
-    for name, call in named:
-        if name == "PathJoinSubstitution" and getattr(call.args[0].elts[0], "id", "") == "share":
-            assert ROOT.joinpath(*(part.value for part in call.args[0].elts[1:])).is_file()
+        if path in LOOPS:
+            executable = node["executable"].value
+            assert (node["package"].value, node["name"].value) == ("mbd_ros", executable)
+            (values,) = (e for e in node["parameters"].elts if isinstance(e, ast.Dict))
+            assert {key.value for key in values.keys} <= parameters_of(executable)
+    assert first_words(named, "node") <= NODES.keys()
+    for call in (c for n, c in named if n == "DeclareLaunchArgument"):
+        assert {"default_value", "description"} <= {k.arg for k in call.keywords}
+    used = first_words(named, "LaunchConfiguration", "typed")
+    assert used <= first_words(named, "DeclareLaunchArgument") | ARGUMENTS.keys()
+    for _, call in (entry for entry in named if entry[0] == "shared_file"):
+        if all(isinstance(part, ast.Constant) for part in call.args):
+            assert ROOT.joinpath(*(part.value for part in call.args)).exists()

@@ -178,7 +178,8 @@ def test_lines_for_ros_name_what_there_is():
     launched = [line.split()[3:] for line in lines_of(PAGES, "ros2 launch mbd_ros")]
     assert launched
     for file, *arguments in launched:
-        text = (ROOT / "launch" / file).read_text(encoding="utf-8")
+        paths = (ROOT / "launch" / file, ROOT / "mbd_ros/nodes/launching.py")
+        text = "".join(path.read_text(encoding="utf-8") for path in paths)
         names = [word.partition(":=")[0] for word in arguments]
         assert [name for name in names if f'"{name}"' not in text] == [], file
     started = {line.split()[3] for line in lines_of(PAGES, "ros2 run mbd_ros")}
