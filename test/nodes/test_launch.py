@@ -34,7 +34,7 @@ pytestmark = [
 ]
 NODES = (
     *("simulator", "inverse_dynamics", "joint_state_projector"),
-    *("qp_controller", "sliding_mode_controller", "web_view"),
+    *("qp_controller", "sliding_mode_controller", "state_estimator", "digital_twin", "web_view"),
 )
 TWO = """from launch import LaunchDescription
 from launch.actions import IncludeLaunchDescription

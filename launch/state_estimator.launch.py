@@ -1,0 +1,9 @@
+"""Start it: ros2 launch mbd_ros state_estimator.launch.py scene:=..."""
+
+from launch import LaunchDescription
+from mbd_ros.nodes.launching import node_launch
+
+
+def generate_launch_description() -> LaunchDescription:
+    """The node with the parameter file of the package and the scene of the user."""
+    return node_launch("state_estimator", "joint_states")
