@@ -33,7 +33,7 @@ def main() -> int:
     parser.add_argument("--interval", type=float, default=0.02)
     parser.add_argument("--weight", type=float, default=100.0)
     parser.add_argument("--effort", type=float, default=1.0e-4)
-    parser.add_argument("--peer", help="a Python with the wheel opensim")
+    parser.add_argument("--peer", type=os.path.abspath, help="a Python with the wheel opensim")
     given = parser.parse_args()
     any_task = {"duration": 1.0, "goals": [{"type": "effort"}]}
     mbd.load_scene("cart_pole").predict(any_task)  # imports
