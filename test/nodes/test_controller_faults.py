@@ -169,7 +169,6 @@ class SimulatedClock:
         self._client.probe.node.destroy_publisher(self._publisher)
 
 
-@pytest.mark.alone
 @each
 def test_a_paused_simulation_leaves_the_watchdog_quiet_and_a_dead_one_does_not(
     domain, tmp_path, kind

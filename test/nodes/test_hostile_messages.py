@@ -144,30 +144,40 @@ def test_a_trajectory_of_too_many_points_is_refused_unread(domain, tmp_path, nam
             target.ask(k + 1)
 
 
-@pytest.mark.alone
+def least_cpu(act, times):
+    """CPU time of the quickest of some calls [s]."""
+    spent = []
+    for _ in range(times):
+        begin = time.process_time()
+        act()
+        spent.append(time.process_time() - begin)
+    return min(spent)
+
+
 def test_a_long_trajectory_is_refused_in_a_hundredth_of_the_time_to_read_it():
     points = [JointTrajectoryPoint(positions=[0.1] * 4) for _ in range(20_000)]
     cdr = serialize_message(JointTrajectory(joint_names=list("abcd"), points=points))
-    begin = time.perf_counter()
-    with pytest.raises(MessageError, match="20000 points, accepted"):
-        message_of(cdr, JointTrajectory)
-    refused = time.perf_counter() - begin
-    begin = time.perf_counter()
-    deserialize_message(cdr, JointTrajectory)
-    assert refused < 0.01 * (time.perf_counter() - begin)
+
+    def refuse():
+        with pytest.raises(MessageError, match="20000 points, accepted"):
+            message_of(cdr, JointTrajectory)
+
+    read = least_cpu(lambda: deserialize_message(cdr, JointTrajectory), 1)
+    assert least_cpu(refuse, 5) < 0.01 * read
     for end in (5, 13, 30):
         with pytest.raises(MessageError, match="its bytes are no JointTrajectory"):
             message_of(cdr[:end], JointTrajectory)
 
 
-@pytest.mark.alone
 def test_bytes_that_claim_many_names_are_refused_at_once():
     """16 MiB of empty names: counting them took 4 s."""
     cdr = bytes([0, 1, 0, 0]) + bytes(12) + b"\xff" * 4 + bytes(2**24 - 64)
-    begin = time.perf_counter()
-    with pytest.raises(MessageError, match="4294967295 joint names, accepted: 4000"):
-        message_of(cdr, JointTrajectory)
-    assert time.perf_counter() - begin < 0.1
+
+    def refuse():
+        with pytest.raises(MessageError, match="4294967295 joint names, accepted: 4000"):
+            message_of(cdr, JointTrajectory)
+
+    assert least_cpu(refuse, 3) < 0.1
 
 
 @pytest.mark.parametrize("name", ["inverse_arm", "projector_arm"])

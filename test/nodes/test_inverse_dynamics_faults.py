@@ -361,7 +361,6 @@ def test_36_a_bad_parameter_at_the_start_leaves_the_node_unconfigured(
 # ---------------------------------------------------------------------- time of a simulation
 
 
-@pytest.mark.alone
 def test_16_17_38_clock_that_jumps_back_and_stands(domain, tmp_path):
     """On the other executor, in a namespace; ended by SIGTERM in the middle of a stream."""
     from rosgraph_msgs.msg import Clock

@@ -12,7 +12,6 @@ from msg_adapters.diagnostics import WARN
 
 pytest.importorskip("onnx", reason="onnx is optional (extra: learn)")
 pytest.importorskip("onnxruntime", reason="onnxruntime is optional (extra: learned)")
-pytestmark = pytest.mark.alone
 COUNT, PERIOD = 600, 0.002  # s
 
 
@@ -27,14 +26,13 @@ def test_500_hz_with_a_structured_model_and_a_warning_beyond_its_range(domain, t
     with live(domain, tmp_path, path) as stream:
         for k in range(3):
             stream.ask(k)
-        begun, late = time.perf_counter(), 0.0
+        begun, busy = time.perf_counter(), stream.node.cpu_seconds()
         for k in range(3, COUNT):
             stream.send(k)
             due = begun + (k - 2) * PERIOD
             stream.probe.spin_for(max(due - time.perf_counter(), 0.0))
         stream.answers(COUNT)
-        late = time.perf_counter() - begun - (COUNT - 3) * PERIOD
-        assert late < 0.3
+        assert stream.node.cpu_seconds() - busy < 0.8 * (COUNT - 3) * PERIOD
         for k in np.arange(3, COUNT, 50):
             stream.check(stream.torques[k], int(k))
         seen = len(stream.probe.health)

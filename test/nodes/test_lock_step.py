@@ -131,7 +131,7 @@ class LossyLoop:
 @pytest.mark.parametrize(
     ("seconds", "controller_every", "simulator_every"),
     [
-        pytest.param(24.0, 10.0, 20.0),
+        pytest.param(15.0, 5.0, 10.0),
         pytest.param(HOUR, 30.0, 120.0, marks=pytest.mark.soak),
     ],
 )

@@ -22,8 +22,6 @@ from mbd_ros.nodes.simulator.pace import PATIENCE, Pace, wake_exactly
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointStateWriter
 
-pytestmark = pytest.mark.alone
-
 PERIOD = 1e-3
 
 
@@ -89,6 +87,7 @@ def deviations(begun):
 
 
 @pytest.mark.parametrize("kind", [EventsExecutor, SingleThreadedExecutor])
+@pytest.mark.alone
 @pytest.mark.soak  # takes two minutes
 @pytest.mark.parametrize("turns", [60])
 def test_ticks_jitter_at_most_half_as_much_as_those_of_a_timer(node, work, kind, turns, capfd):
@@ -123,16 +122,15 @@ def test_ticks_jitter_at_most_half_as_much_as_those_of_a_timer(node, work, kind,
 def test_callbacks_are_handled_while_waiting_and_a_change_ends_the_wait(node):
     executor = EventsExecutor(context=node.context)
     executor.add_node(node)
-    heard, pace = [], Pace(0.03, 1.0)
+    heard, pace = [], Pace(0.05, 1.0)
     node.create_timer(5e-3, lambda: heard.append(True))
-    node.create_timer(0.05, pace.interrupt)
-    pace.due += 0.03
+    pace.due += 0.05
     assert pace.wait(executor)
-    assert len(heard) >= 4
-    pace.ticked()
-    begin = time.perf_counter()
+    assert len(heard) >= 2
+    pace.restart()
+    pace.due += 0.9 * PATIENCE
+    node.create_timer(0.01, pace.interrupt)
     assert not pace.wait(executor)
-    assert time.perf_counter() - begin < 0.03
     executor.remove_node(node)
 
 
@@ -158,16 +156,17 @@ def test_a_late_tick_is_caught_up_and_one_too_late_moves_the_grid():
     pace.ticked()
     assert pace.due == pytest.approx(first + 0.005)
     assert (pace.overruns, pace.given_up) == (0, 0.0)
-    time.sleep(0.03)
+    pace.due -= 0.03
     pace.ticked()
-    assert pace.due == pytest.approx(first + 0.01)
+    assert pace.due == pytest.approx(first + 0.01 - 0.03)
     assert (pace.overruns, pace.given_up) == (1, 0.0)
-    time.sleep(PATIENCE + 0.01)
+    pace.due -= PATIENCE
     assert pace.is_lagging
+    begin = time.perf_counter()
     pace.ticked()
     assert pace.overruns == 2
     assert pace.given_up > PATIENCE
-    assert pace.due == pytest.approx(time.perf_counter(), abs=0.01)
+    assert begin <= pace.due <= time.perf_counter()
     assert pace.is_lagging
     pace.open_window()
     assert not pace.is_lagging
