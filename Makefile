@@ -39,7 +39,7 @@ venv: .venv/installed
 test: venv .venv/report .venv/docs browser calculix
 	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=test/nodes --ignore=test/browser
 	$(BIN)/python -m pytest test/browser
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not soak and not alone" test/nodes
+	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not soak and not alone" test/nodes
 	$(BIN)/python -m pytest -m "alone and not soak" test/nodes
 
 # For tests of pages. Where nothing may be installed they are skipped, and say why.

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from nodes.conftest import DEADLINE, NodeProcess
+from nodes.conftest import DEADLINE, NodeProcess, Probe
 from nodes.joint_stream import ACTIVE, parameter_file
 from nodes.simulation_client import ARM, DEEP, JOINTS, QuickProbe
 from rclpy.duration import Duration
@@ -19,6 +19,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import load_scene
+from msg_adapters.diagnostics import STALE
 from msg_adapters.joint_state import JointSample, read_joint_state, write_joint_state
 from msg_adapters.multi_array import read_answered
 
@@ -166,6 +167,19 @@ class ControlClient:
 
     def _keep_state(self, message: Any) -> None:
         self.states.append(read_joint_state(message))
+
+
+def gone_safe(client: ControlClient) -> Any:
+    """The first status that says so, once the last command on the wire is safe."""
+    share = "share of the safe command"
+    health = client.wait_health(lambda h: h.level == STALE and h.values[share] == "1")
+    client.probe.spin_until(lambda: not client.commands[-1].any())
+    return health
+
+
+def said(probe: Probe, name: str, level: int, text: str) -> list[Any]:
+    """Statuses of a node with that level and text."""
+    return [h for h in probe.health if h.name == name and h.level == level and text in h.message]
 
 
 @contextmanager

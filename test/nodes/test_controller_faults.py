@@ -1,21 +1,18 @@
 """What the controllers do about bad joint states, silence, crashes and signals, over DDS."""
 
-import re
 import signal
-from contextlib import contextmanager
 
 import numpy as np
 import pytest
 from nodes.conftest import ROOT
-from nodes.control_client import KINDS, POSE, STEP, controlled
-from nodes.simulation_client import ARM, DAMPED, JOINTS, NAME, simulated
+from nodes.control_client import KINDS, POSE, STEP, controlled, gone_safe, said
+from nodes.simulation_client import ARM, JOINTS
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from msg_adapters.clock import write_clock
 from msg_adapters.diagnostics import ERROR, STALE, WARN
-from msg_adapters.joint_state import write_joint_state
 
 AT_ONCE = {"safe_ramp": 0.0, "timeout": 10.0}
 TRUSTED = {**AT_ONCE, "allow_code": True}
@@ -27,19 +24,6 @@ def dropped(health):
     """Counts of dropped messages by reason."""
     values = health.values.items()
     return {key.split(".")[1]: count for key, count in values if key.startswith("dropped.")}
-
-
-def gone_safe(client):
-    """The first status that says so, once the last command on the wire is safe."""
-    share = "share of the safe command"
-    health = client.wait_health(lambda h: h.level == STALE and h.values[share] == "1")
-    client.probe.spin_until(lambda: not client.commands[-1].any())
-    return health
-
-
-def said(probe, name, level, text):
-    """Statuses of a node with that level and text."""
-    return [h for h in probe.health if h.name == name and h.level == level and text in h.message]
 
 
 # ---------------------------------------------------------------------- joint states
@@ -431,115 +415,3 @@ def test_a_law_without_an_answer_keeps_its_last_one_and_then_deactivates(
         client.no_answer(client.message())
         assert client.probe.change_state(client.name, "activate")
         np.testing.assert_allclose(client.ask(), client.holding(), rtol=1e-9)
-
-
-# ---------------------------------------------------------------------- with a simulator
-
-LOOSE = {"timeout": 0.1, "safe_ramp": 0.1}
-CALM = ARM + DAMPED  # without it the wrist is off by radians when a busy machine is 10 ms late
-
-
-def reached(simulation, controller):
-    """Until the joints stand at POSE."""
-    controller.refer(POSE)
-
-    def near():
-        if not simulation.states:
-            return False
-        position = dict(zip(JOINTS, np.delete(simulation.newest.position, 2), strict=True))
-        return np.abs(np.array([position[n] for n in JOINTS]) - POSE).max() < 1e-3
-
-    simulation.probe.spin_until(near)
-
-
-@contextmanager
-def running_arm(domain, tmp_path, **more):
-    """A simulator at 200 Hz, and a folder for what connects a controller to it."""
-    (folder := tmp_path / "simulator").mkdir()
-    (other := tmp_path / "controller").mkdir()
-    with simulated(domain, folder, CALM, rate=200.0, marker_rate=0.0, **more) as simulation:
-        simulation.follow()
-        simulation.probe.node.destroy_publisher(simulation._vectors)
-        yield simulation, other
-        simulation.assert_finite()
-        for motion in simulation.motions:
-            for values in (motion.position, motion.velocity, motion.acceleration, motion.effort):
-                assert np.isfinite(values).all()
-
-
-@pytest.fixture
-def closed_loop(domain, tmp_path):
-    """The same, in the hands of the fixture."""
-    with running_arm(domain, tmp_path) as both:
-        yield both
-
-
-@each
-def test_a_killed_controller_leaves_the_arm_to_the_timeout_of_the_simulator(
-    domain, closed_loop, kind
-):
-    simulation, folder = closed_loop
-    with controlled(domain, folder, CALM, kind=kind, plant=NAME, **LOOSE, stop=None) as client:
-        client.probe.spin_until(lambda: client.states)
-        reached(simulation, client)
-        client.node.process.kill()
-        client.node.wait()
-        health = simulation.probe.wait_health(
-            lambda h: h.name == NAME and h.values["share of the safe command"] == "1"
-        )
-        assert "no command for" in health.message
-
-
-@each
-def test_a_frozen_and_a_killed_simulator_are_silence(domain, tmp_path, kind):
-    """The command goes safe while it is frozen, and takes over again without a bump."""
-    with (
-        running_arm(domain, tmp_path, stop=None) as (simulation, folder),
-        controlled(domain, folder, CALM, kind=kind, plant=NAME, **LOOSE) as client,
-    ):
-        client.probe.spin_until(lambda: client.states)
-        reached(simulation, client)
-        simulation.node.process.send_signal(signal.SIGSTOP)
-        gone_safe(client)
-        count = len(client.commands)
-        simulation.node.process.send_signal(signal.SIGCONT)
-        client.wait_health(lambda h: h.values["share of the safe command"] == "0")
-        rises = np.diff(np.abs([np.zeros(4), *client.commands[count:]]), axis=0).max()
-        assert 0.0 < rises < 0.5 * np.abs(client.holding()).max()  # a tick is 0.05 of it
-        simulation.node.process.kill()
-        gone_safe(client)
-
-
-@each
-@pytest.mark.parametrize("simulated_time", ["false", "true"])
-def test_a_simulation_that_diverges_is_silence_until_it_is_reset(
-    domain, tmp_path, kind, simulated_time
-):
-    """Fault 32, by an absurd command: joint and time are named, and its state is kept.
-
-    In simulated time it must not look like a pause.
-    """
-    absurd = write_joint_state(JointState(), 0, JOINTS, effort=np.full(4, 1e308))
-    tuned = {**LOOSE, "use_sim_time": simulated_time}
-    with (
-        running_arm(domain, tmp_path, publish_clock=simulated_time) as (simulation, folder),
-        controlled(domain, folder, CALM, kind=kind, plant=NAME, **tuned) as client,
-    ):
-        client.probe.spin_until(lambda: client.states)
-        reached(simulation, client)
-        probe = simulation.probe
-        publish = lambda: simulation.publish(absurd)  # noqa: E731
-        simulation.repeat(publish, lambda: said(probe, NAME, ERROR, "diverged at t = "))
-        (health, *_) = said(probe, NAME, ERROR, "diverged at t = ")
-        assert any(joint in health.message for joint in (*JOINTS, "elbow"))
-        at = float(re.search(r"diverged at t = ([\d.]+) s", health.message)[1])
-        assert 0.0 <= at - float(health.values["simulated time"]) < 0.01
-        assert health.values["state"] == "inactive"
-        gone_safe(client)
-        count, last = simulation.settle(), simulation.newest
-        assert not probe.change_state(NAME, "activate")
-        assert probe.call(Trigger, f"{NAME}/reset", Trigger.Request()).success
-        assert probe.change_state(NAME, "activate")
-        probe.spin_until(lambda: len(simulation.states) > count)
-        assert np.abs(simulation.sample(count).position - last.position).max() > 0.1
-        client.wait_health(lambda h: h.values["share of the safe command"] == "0")

@@ -566,7 +566,7 @@ def test_16_17_38_clock_that_jumps_back_and_stands(domain, tmp_path):
             message = Clock()
             write_time(message.clock, int(second * 1e9))
             clock.publish(message)
-            stream.probe.spin_for(0.1)
+            stream.probe.state(NAME)  # handled
 
         stream.reset(begin=100 * 10**9)
         stream.ask(0, *motion(stream.scene, 0))  # before the first /clock

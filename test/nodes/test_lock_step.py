@@ -20,8 +20,6 @@ from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.time import read_time
 
-pytestmark = pytest.mark.alone
-
 SCENE = ROOT / "config/scenes/controlled_arm.yaml"
 CONTROLLER = "/sliding_mode_controller"
 STILL = 2.0  # [s] that both may be OK and time may stand
@@ -128,6 +126,7 @@ class LossyLoop:
             assert (np.abs(values) <= accepted).all(), (answered, self._begun, values, accepted)
 
 
+@pytest.mark.alone
 @pytest.mark.parametrize(
     ("seconds", "controller_every", "simulator_every"),
     [

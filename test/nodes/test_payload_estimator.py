@@ -63,7 +63,7 @@ class Arm:
     def health(self):
         count = len(self.probe.health)
         heard = self.probe.health
-        self.probe.spin_until(lambda: any(h.name == NAME for h in heard[count:]), timeout=3.0)
+        self.probe.spin_until(lambda: any(h.name == NAME for h in heard[count:]))
         return [h for h in heard if h.name == NAME][-1]
 
 

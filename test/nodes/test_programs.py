@@ -51,7 +51,8 @@ def test_a_qp_that_has_solved_leaves_no_leak_lines_at_exit(start_node, probe, tm
     scene = tmp_path / "arm.yaml"
     scene.write_text(ARM, encoding="utf-8")
     given = ["-p", f"scene:={scene}"]
-    plant = start_node(arguments=given, target=program("simulator"))
+    slow = ["-p", "rate:=100.0"]
+    plant = start_node(arguments=[*given, *slow], target=program("simulator"))
     remap = ["-r", "~/commands:=/simulator/commands"]
     node = start_node(arguments=[*given, *remap], target=program("qp_controller"))
     count = "messages answered in the last second"

@@ -74,9 +74,7 @@ class Machine:
 
     def health(self):
         count = len(self.probe.health)
-        self.probe.spin_until(
-            lambda: any(h.name == NAME for h in self.probe.health[count:]), timeout=3.0
-        )
+        self.probe.spin_until(lambda: any(h.name == NAME for h in self.probe.health[count:]))
         return [h for h in self.probe.health if h.name == NAME][-1]
 
 
