@@ -189,8 +189,17 @@ def _by_name(given: Any) -> dict[str, float]:
 
 
 def _rate(one: Quantity, of: Quantities) -> Any:
-    """Rate of an expression of q, v and z."""
+    """Rate of an expression of q, v and z.
+
+    Raises:
+        ModelError: It is one of forces or accelerations, too.
+    """
     symbols, total = of.symbols, ca.SX(0)
+    if ca.depends_on(one.value, ca.vertcat(*(symbols[key] for key in "awul"))):
+        raise ModelError(
+            f"smoothness of {one.name}, which depends on forces or accelerations; accepted: "
+            "inputs, and what depends on positions, velocities and internal states alone"
+        )
     for letter, rate in _RATES.items():
         if symbols[letter].numel() == symbols[rate].numel():
             total += ca.jtimes(one.value, symbols[letter], symbols[rate])

@@ -32,6 +32,9 @@ KINKED: Mapping[str, Any] = {
     "acceptable_compl_inf_tol": 1.0e-7,
     "acceptable_obj_change_tol": 1.0e-8,
 }
+# of programs whose slopes jump in the midst of a motion: a barrier is lowered before its own least
+# cost is found, which may be where a slope jumps, so that steps go to and fro there
+PIECEWISE: Mapping[str, Any] = {"barrier_tol_factor": 1.0e3}
 _NO_OPTIONS: Mapping[str, Any] = {}
 Progress = Callable[[], tuple[float, float]]  # cost and violation
 Tell = Callable[[int, Progress], bool]  # number of the iteration; whether to stop

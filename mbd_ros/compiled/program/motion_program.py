@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.program.block import Block, Form
-from mbd_ros.compiled.program.ipopt import KINKED, Solved, Tell, solve
+from mbd_ros.compiled.program.ipopt import KINKED, PIECEWISE, Solved, Tell, solve
 from mbd_ros.compiled.program.motion_phase import MotionPhase
 from mbd_ros.compiled.program.moving_knots import bound_widths, moving_knots
 from mbd_ros.compiled.program.phase_equations import LETTERS
@@ -125,6 +125,8 @@ class MotionProgram:
         program, guess, every, (lower, upper) = assembled
         more: dict[str, Any] = {"accuracy": accuracy, "most": most, "is_near": is_near}
         more["options"] = dict(_TWICE) if self._linkages and not is_near else {}
+        if any(phase.equations.has_pieces for phase in self.phases) and not is_near:
+            more["options"] |= PIECEWISE
         more["options"] |= KINKED if has_kinks else {}
         solved = solve(program, guess, lower, upper, tell=tell, **more)
         motions = tuple(read(solved.x, unknowns) for unknowns in every)

@@ -1,4 +1,4 @@
-"""What sensors measure and parts show, as expressions of the symbols of a phase."""
+"""What sensors measure, parts show and joints pass on, as expressions of a phase."""
 
 from collections.abc import Iterator, Sequence
 from fnmatch import fnmatchcase
@@ -9,14 +9,19 @@ import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.symbols.equations import Equations
+from mbd_ros.compiled.symbols.reactions import SymbolicReactions
 from mbd_ros.compiled.symbols.scalar import number, numbers, scalars
 from mbd_ros.compiled.symbols.untraceable import tracing
 from mbd_ros.core.dynamics.showing import numbers_of
+from mbd_ros.core.inverse.joint_loads import joined_links
 from mbd_ros.core.muscles.metabolic_rate import Metabolism
 from mbd_ros.core.outputs import Now
 from mbd_ros.core.parts import Part
 from mbd_ros.core.sensor import Measures, Sensor
-from mbd_ros.errors import ModelError
+
+_LOAD = {
+    f"{kind}_{axis}": unit for kind, unit in (("force", "N"), ("moment", "N·m")) for axis in "xyz"
+}
 
 
 class PartQuantities:
@@ -39,10 +44,30 @@ class PartQuantities:
             for part in self._rows
             for i, output in enumerate(numbers_of(part))
         }
+        self._loads = {
+            f"{joined.link}.load.{component}": (joined, i)
+            for joined in joined_links(equations.system.robot)
+            for i, component in enumerate(_LOAD)
+        }
+        self._reactions = SymbolicReactions(equations)
+
+    @cached_property
+    def names(self) -> dict[str, None]:
+        """All names: of sensors, of parts, then of loads of joints."""
+        return dict.fromkeys((*self._sensors, *self._outputs, *self._loads))
 
     def matching(self, pattern: str) -> list[str]:
-        """Names of a pattern, sensors first."""
-        return [one for one in (*self._sensors, *self._outputs) if fnmatchcase(one, pattern)]
+        """Names of a pattern."""
+        return [one for one in self.names if fnmatchcase(one, pattern)]
+
+    def unit(self, name: str) -> str:
+        """Unit of the number of a name."""
+        if name in self._sensors:
+            return self._sensors[name][0].unit
+        if name in self._loads:
+            return _LOAD[name.rpartition(".")[2]]
+        part, i = self._outputs[name]
+        return [*numbers_of(part)][i].unit
 
     def markers(self) -> Iterator[tuple[str, float]]:
         """Coordinates of markers, and the weights of these."""
@@ -72,9 +97,11 @@ class PartQuantities:
         """The number of a name, an expression or a float.
 
         Raises:
-            ModelError: A sensor of forces.
             Untraceable: Names a part that has no symbolic form.
         """
+        if name in self._loads:
+            joined, i = self._loads[name]
+            return self._reactions.load(joined)[i]
         if name in self._sensors:
             sensor, i = self._sensors[name]
             return self._measured(sensor)[i]
@@ -82,10 +109,12 @@ class PartQuantities:
         return self._values(part)[i]
 
     def _measured(self, sensor: Sensor) -> list[Any]:
-        if sensor.level is Measures.FORCE:
-            raise ModelError(f"{sensor.name} measures reactions of joints, which have no symbols")
         if sensor.name not in self._shown:
-            now = self._now(np.zeros(0)) if sensor.level is Measures.ACCELERATION else None
+            now = None
+            if sensor.level >= Measures.ACCELERATION:
+                now = self._now(np.zeros(0))
+            if sensor.level is Measures.FORCE:
+                now = now._replace(reactions=self._reactions.felt)
             with tracing(sensor):
                 values = sensor.measure(self._e.k, self._e.x, now)
             self._shown[sensor.name] = _flat(values)

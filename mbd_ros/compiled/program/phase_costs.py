@@ -83,9 +83,8 @@ class PhaseCosts:
             data = np.vstack((mesh.shares, weights, self._tracked(name, unknowns)))
             yield Block(name, integral, places, data)
         if terms.final is not None:
-            form = self._forms.node_form(ca.SX(0, 1), terms.final)
-            last = np.array([mesh.intervals])
-            yield Block(name, form, self._forms.node_places(unknowns, last), np.ones((1, 1)))
+            form = self._forms.last_form(mesh.scheme_of(int(mesh.degrees[-1])), terms.final)
+            yield Block(name, form, self._forms.last_places(unknowns), np.ones((1, 1)))
         if terms.time:
             T = self._forms.duration
             form = Form(T, ca.SX(0, 1), ca.SX(0, 1), terms.time * T)

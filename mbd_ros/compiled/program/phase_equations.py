@@ -16,7 +16,7 @@ import numpy as np
 from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.implicit import residual
 from mbd_ros.compiled.symbols.rows import Rows
-from mbd_ros.compiled.symbols.scalar import scalars
+from mbd_ros.compiled.symbols.scalar import column, scalars
 from mbd_ros.core.prediction.unknowns import Sizes
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.state import Array
@@ -79,6 +79,15 @@ class PhaseEquations:
     def jacobians(self) -> tuple[Any, Any]:
         """J of rows of positions and of all rows, shapes (mg, nv) and (m, nv)."""
         return self._dense(self._closing), self._dense(self.equations.acting)
+
+    @cached_property
+    def has_pieces(self) -> bool:
+        """Whether couplings are made of pieces, so that slopes of the equations may jump."""
+        e = self.equations
+        both = ca.vertcat(*(column(one) for one in (e.coordinates.q, e.coordinates.v)))
+        function = ca.Function("coupled", [self.symbols["q"], self.symbols["v"]], [both])
+        count = range(function.n_instructions())
+        return any(function.instruction_id(i) == ca.OP_IF_ELSE_ZERO for i in count)
 
     @property
     def _closing(self) -> Rows:

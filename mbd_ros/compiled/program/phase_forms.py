@@ -25,6 +25,7 @@ from mbd_ros.core.state import Array
 
 COLLOCATION, BODIES, CLOSING, MOTION = "collocation", "bodies", "closing", "motion"  # blocks
 _BASE_Q, _BASE_V = 7, 6
+_AT_POINTS = "awul"  # what is unknown at points alone
 
 
 class PhaseForms:
@@ -88,6 +89,22 @@ class PhaseForms:
         """Unknowns of a form at some ends of intervals, shape (.., len(nodes))."""
         shared = np.array([unknowns.begin, unknowns.duration, *self._p], dtype=np.intp)
         return np.vstack((unknowns.state[nodes].T, np.repeat(shared[:, None], len(nodes), axis=1)))
+
+    def last_form(self, scheme: Collocation, cost: Any) -> Form:
+        """A cost of all letters at the end, with forces as polynomials of the last interval."""
+        symbols, at_end = self.phase.symbols, ca.DM(scheme.values(np.ones(1)).T)
+        points = {key: ca.SX.sym(key, symbols[key].numel(), scheme.degree) for key in _AT_POINTS}
+        own, ends = zip(*((symbols[key], one @ at_end) for key, one in points.items()), strict=True)
+        (cost,) = ca.substitute([ca.SX(cost)], list(own), list(ends))
+        more = ca.vertcat(*(ca.vec(one) for one in points.values()))
+        return self.node_form(ca.SX(0, 1), cost, more)
+
+    def last_places(self, unknowns: Unknowns) -> Places:
+        """Unknowns of `last_form`, one column."""
+        own = self.node_places(unknowns, np.array([unknowns.mesh.intervals]))
+        degree = int(unknowns.mesh.degrees[-1])
+        points = (unknowns.points[key][-degree:].reshape(-1, 1) for key in _AT_POINTS)
+        return np.vstack((own, *points))
 
     def _form(self, unknowns: Any, data: Any, rows: Any, cost: Any = None) -> Form:
         both = [ca.SX(rows), ca.SX(0) if cost is None else ca.SX(cost)]

@@ -41,7 +41,8 @@ class Quantities:
     """Quantities by name.
 
     `<joint>.position`, `.velocity`, `.acceleration`, commands and excitations as tables call them,
-    internal states, multipliers, `<frame>.position.x` and `.velocity.x` of links, and parameters.
+    internal states, multipliers, `<frame>.position.x` and `.velocity.x` of links, loads of joints as
+    `<link>.load.force_x`, and parameters.
 
     Args:
         phase: Of which phase.
@@ -84,9 +85,14 @@ class Quantities:
         if not found:
             raise ModelError(
                 f"no quantity '{name}', there are {', '.join(self._named)}, what sensors and "
-                "parts show, and <frame>.position.x of links"
+                "parts show, <frame>.position.x and <link>.load.force_x of links"
             )
         return found
+
+    def asked(self) -> dict[str, tuple[Quantity, str]]:
+        """What somebody asked for of parts, sensors and joints, with units, by name."""
+        names = (name for name in self._named if name in self._parts.names)
+        return {name: (self._named[name], self._parts.unit(name)) for name in names}
 
     def name_of(self, letter: str, index: int) -> str:
         """What an unknown is called."""

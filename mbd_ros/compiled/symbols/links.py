@@ -90,11 +90,7 @@ def tree_of(model: Any) -> Tree:
     """
     seats = _seats(model)
     inertias = [Inertia(0.0, np.zeros(3), np.zeros((3, 3)))]
-    for j in range(1, model.njoints):
-        given, seat = model.inertias[j], seats[j].inverse()
-        about = given.inertia - given.mass * (skew(given.lever) @ skew(given.lever))
-        at_joint = Inertia(given.mass, given.mass * given.lever, about)
-        inertias.append(at_joint.seen_from(seat.rotation, seat.translation))
+    inertias += [_own_inertia(model, j, seats[j]) for j in range(1, model.njoints)]
     placed = [None] + [_placed(model, seats, j) for j in range(1, model.njoints)]
     for j in range(model.njoints - 1, 0, -1):
         kept, given = split(_kind(model.joints[j]), inertias[j])
@@ -116,6 +112,23 @@ def with_armature(tree: Tree, armature: Sequence[Any]) -> Tree:
     """The same links with other inertias of drives, one number a velocity."""
     links = (link._replace(armature=armature[link.v : link.v + link.nv]) for link in tree.links)
     return tree._replace(links=tuple(links))
+
+
+def with_own_inertias(tree: Tree, model: Any) -> Tree:
+    """The same links with all of their own mass, for what is asked of wrenches between them."""
+    own = (
+        link._replace(inertia=clean(_own_inertia(model, link.joint, link.seat)))
+        for link in tree.links
+    )
+    return tree._replace(links=tuple(own))
+
+
+def _own_inertia(model: Any, j: int, seat: Any) -> Inertia:
+    """Of the links of a joint, in the axes of its `seat`."""
+    given, back = model.inertias[j], seat.inverse()
+    about = given.inertia - given.mass * (skew(given.lever) @ skew(given.lever))
+    at_joint = Inertia(given.mass, given.mass * given.lever, about)
+    return at_joint.seen_from(back.rotation, back.translation)
 
 
 def axis_of(model: Any, joint: int) -> Array:

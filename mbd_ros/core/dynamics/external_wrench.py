@@ -99,8 +99,10 @@ class ExternalWrench(Load):
 
     def wrenches_of(self, k: Kinematics, wrench: Array) -> tuple[Wrench, ...]:
         """A load [N, N·m] on the link, about the origin of the joint that carries it."""
-        if not self.is_loaded(wrench):
+        acts = self.threshold == 0.0 or k.hypot(wrench[:3]) > self.threshold
+        share = k.where(acts, 1.0, 0.0)
+        if not k.any(np.array([share])):
             return ()
-        carrier, load = self.carrier, self.in_body(k, wrench)
+        carrier, load = self.carrier, self.in_body(k, wrench) * share
         axes, place = k.rotation(carrier), k.position(carrier)
         return (Wrench(self.frame, place, axes.dot(load[:3]), axes.dot(load[3:])),)

@@ -133,7 +133,11 @@ class ContactShow:
 
     def wrenches(self, k: Kinematics, forces: Array) -> tuple[Wrench, ...]:
         """The wrenches on a and on b at the centre of pressure; arguments as for `values`."""
-        centre, force, torque, _ = self.resultant(k, forces, self._pair.gaps(k))
+        if self._has_several:
+            centre, force, torque, _ = self.resultant(k, forces, self._pair.gaps(k))
+        else:
+            (centre,), (axes,) = self._pair.places(k)
+            force, torque = axes.dot(forces[0, [1, 2, 0]]), np.zeros(3)
         a, b = self._points
         return Wrench(a.frame, centre, force, torque), Wrench(b.frame, centre, -force, -torque)
 

@@ -42,8 +42,15 @@ class SwitchedPath(Path):
         return self._asked(k, x, "drift")
 
     def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
-        """What a tension of 1 N exerts on bodies."""
-        return self._asked(k, x, "pulls")
+        """What a tension of 1 N exerts on bodies; of both paths where nobody knows which it is."""
+        there = k.where(self._interval.holds(k, x), 1.0, 0.0)
+        shares = (self._inside, there), (self._outside, 1.0 - there)
+        return tuple(
+            pull._replace(force=pull.force * share)
+            for path, share in shares
+            if k.any(np.array([share]))
+            for pull in path.pulls(k, x)
+        )
 
     def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
         """Corners of the path that there is."""

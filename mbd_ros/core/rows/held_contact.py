@@ -59,7 +59,7 @@ class HeldContact(Constraint):
 
     def wrenches(self, k: Kinematics, x: State, lam: Array) -> tuple[Wrench, ...]:
         """Those of the contact."""
-        whole = np.zeros(len(self.contact.rows))
+        whole = k.zeros(len(self.contact.rows))
         whole[self._kept] = lam
         found: tuple[Wrench, ...] = self.contact.wrenches(k, x, whole)
         return found

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.errors import NotConvergedError
-from mbd_ros.files.table import MAIN, Result
+from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.metadata import metadata_of
 from mbd_ros.jobs.predict.failure import active, reasons
@@ -20,6 +20,7 @@ from mbd_ros.jobs.predict.tables import (
     GOALS,
     NODES,
     STARTS,
+    asked_columns,
     continuation_table,
     goal_table,
     motion_table,
@@ -104,8 +105,12 @@ def run_predict(
         again = replay(simulation, modes, motions, at_nodes=is_loaded)
     for line in (*remarks_of(found), *solution_lines(found, again)):
         say(line)
+    table = motion_table(simulation, modes, motions, is_converged=found.is_converged)
+    if found.is_converged:
+        more = [one for one in asked_columns(found) if one.name not in table]
+        table = Table([*table.columns, *more])
     tables = {
-        MAIN: motion_table(simulation, modes, motions, is_converged=found.is_converged),
+        MAIN: table,
         GOALS: goal_table(found),
         NODES: node_table(found),
     }

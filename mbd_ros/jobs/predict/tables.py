@@ -16,6 +16,7 @@ from mbd_ros.jobs.predict.solving import Found
 from mbd_ros.jobs.simulate.table import table_of
 
 if TYPE_CHECKING:
+    from mbd_ros.compiled.program.motion_phase import MotionPhase
     from mbd_ros.compiled.program.motion_program import Solution
     from mbd_ros.jobs.predict.searching import Step
     from mbd_ros.jobs.predict.starts import Start
@@ -47,6 +48,35 @@ def motion_table(
     pairs_of_z = zip(internals.names, z.T, internals.units, strict=True)
     more = [Column(name, one, unit) for name, one, unit in pairs_of_z if name not in table]
     return Table([*table.columns, *more])
+
+
+def asked_columns(found: Found) -> list[Column]:
+    """Quantities of parts, sensors and joints that the task names, at the times of the motion."""
+    from mbd_ros.compiled.program.path_bounds import PathBounds
+
+    p, rows = found.solution.parameters, list[Array]()
+    pairs = list(zip(found.problem.program.phases, found.solution.motions, strict=True))
+    every = [phase.quantities.asked() for phase, _ in pairs]
+    names = [name for name in every[0] if all(name in one for one in every)]
+    for (phase, motion), asked in zip(pairs, every, strict=True) if names else ():
+        quantities = [(asked[name][0], (-np.inf, np.inf)) for name in names]
+        times, values = _letters(phase, motion, p)
+        rows.append(PathBounds(quantities, phase.forms).values(times, values, p))
+    units = [every[0][name][1] for name in names]
+    columns = np.vstack(rows).T if rows else ()
+    return [Column(*one) for one in zip(names, columns, units, strict=True)]
+
+
+def _letters(
+    phase: "MotionPhase", motion: PhaseMotion, p: Array
+) -> tuple[Array, dict[str, Array]]:
+    """Times of the samples of a phase, and all letters there, forces as the equations say."""
+    shares = np.linspace(0.0, 1.0, SHOWN + 1)
+    values = motion.at(shares)
+    for key in "qvz":
+        values[key][-1] = motion.nodes[key][-1]
+    times = motion.begin + motion.duration * shares
+    return times, values | phase.equations.solved(values, times, p)
 
 
 def _states_alone(simulation: Simulation, states: Sequence[State]) -> Table:
