@@ -125,7 +125,7 @@ class MotionProgram:
         program, guess, every, (lower, upper) = assembled
         more: dict[str, Any] = {"accuracy": accuracy, "most": most, "is_near": is_near}
         more["options"] = dict(_TWICE) if self._linkages and not is_near else {}
-        if any(phase.equations.has_pieces for phase in self.phases) and not is_near:
+        if self.has_pieces and not is_near:
             more["options"] |= PIECEWISE
         more["options"] |= KINKED if has_kinks else {}
         solved = solve(program, guess, lower, upper, tell=tell, **more)
@@ -133,6 +133,11 @@ class MotionProgram:
         found = solved.x[: len(self.parameters)]
         own = solved.x[every[-1].end :]
         return Solution(motions, found, solved, program, tuple(every), own)
+
+    @property
+    def has_pieces(self) -> bool:
+        """Whether slopes of the equations may jump, since couplings are made of pieces."""
+        return any(phase.equations.has_pieces for phase in self.phases)
 
     def limited(self) -> "MotionProgram":
         """The program with all limits of phases and linkages among its rows."""

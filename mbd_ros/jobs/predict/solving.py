@@ -1,6 +1,7 @@
 """A program solved on finer and finer meshes, until errors between nodes are small enough."""
 
 import time
+from collections import deque
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 
 STOPPED = "User_Requested_Stop"
 _LEAST = 1.0e-9  # of the usual size of a cost: less is none
+_STAYING, _ALIKE, _NEAR = 40, 1.0e-4, 1.0e-3  # iterations, their costs, their violations
 
 
 class Found(NamedTuple):
@@ -95,7 +97,9 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
     guesses, parameters, cost_size = list(problem.guesses), problem.parameters, 1.0
     total, lines, costs = 0, list[str](), list[float]()
     is_near, links = False, problem.links
+    has_pieces = problem.recording is None and problem.program.has_pieces
     for round_ in range(task.mesh.refinements + 1):
+        watcher = _Watcher(round_, interruption, has_pieces=has_pieces)
         solution = problem.program.solve(
             guesses,
             parameters,
@@ -105,7 +109,7 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
             is_near=is_near,
             links=links,
             has_kinks=problem.recording is not None,
-            tell=_Watcher(round_, interruption),
+            tell=watcher,
         )
         solved = solution.solved
         total += solved.iterations
@@ -116,7 +120,8 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
             return found._replace(keeps_limits=False)
         costs.append(solved.cost)
         is_settled = all(one.is_settled for one in looks) or _is_same(costs, task.tolerance)
-        if (found.is_fine and is_settled) or not solved.is_good:
+        is_done = solved.is_good and found.is_fine and is_settled
+        if is_done or not (solved.is_good or watcher.is_staying):
             return found
         if interruption.is_asked:
             return found._replace(is_fine=False, is_interrupted=True)
@@ -185,12 +190,31 @@ def moved(motion: PhaseMotion, mesh: Mesh) -> PhaseMotion:
 
 
 class _Watcher:
-    """Says on a terminal how far the solver is."""
+    """Says on a terminal how far the solver is, and ends what only goes to and fro.
 
-    def __init__(self, round_: int, interruption: Interruption) -> None:
+    Where slopes jump at the best motion, steps go from one piece to the other for ever; another
+    mesh has its points elsewhere.
+
+    Args:
+        round_: Number of the mesh.
+        interruption: What ends the solver.
+        has_pieces: Whether slopes of the equations may jump.
+
+    Attributes:
+        is_staying: Whether it has ended that.
+    """
+
+    def __init__(self, round_: int, interruption: Interruption, *, has_pieces: bool) -> None:
         self._round, self._interruption, self._due = round_, interruption, 0.0
+        self._recent = deque[tuple[float, float]](maxlen=_STAYING) if has_pieces else None
+        self.is_staying = False
 
     def __call__(self, iteration: int, progress: "Progress") -> bool:
+        if self._recent is not None:
+            self._recent.append(progress())
+            costs, violations = np.array(self._recent).T
+            is_alike = np.ptp(costs) <= _ALIKE * np.abs(costs).max() and violations.max() <= _NEAR
+            self.is_staying = len(costs) == _STAYING and bool(is_alike)
         if time.monotonic() >= self._due:
             self._due = time.monotonic() + PERIOD
             cost, violation = progress()
@@ -198,4 +222,4 @@ class _Watcher:
                 f"predict: mesh {self._round + 1}, iteration {iteration}, cost {cost:.6g}, "
                 f"violation {violation:.1e}"
             )
-        return self._interruption.is_asked
+        return self._interruption.is_asked or self.is_staying
