@@ -24,9 +24,10 @@ PUSHED = {
     "robot": {"base": "floating"},
 }
 # the tendon of a muscle that goes behind the knee while that is bent
+BENT = {"joint": "knee", "upper": -0.2}
 BACK = [
     {"frame": "femoral_pylon", "xyz": [-0.04, 0.0, -0.2]},
-    {"frame": "femoral_pylon", "xyz": [-0.05, 0.0, -0.4], "within": {"joint": "knee", "upper": -0.2}},
+    {"frame": "femoral_pylon", "xyz": [-0.05, 0.0, -0.4], "within": BENT},
     {"frame": "shank", "xyz": [-0.03, 0.01, -0.1]},
 ]
 MUSCLE = {
@@ -151,7 +152,10 @@ def test_a_prediction_has_the_loads_of_its_motion(usual):
     """`mbd-ros loads` of the same motion, whose free body is the shank."""
     theirs = leg().loads(usual, body="shank")["samples"]
     for axis in "xyz":
-        found, expected = usual["samples"][f"shank.load.force_{axis}"], theirs[f"knee.force_{axis}"]
+        found, expected = (
+            usual["samples"][f"shank.load.force_{axis}"],
+            theirs[f"knee.force_{axis}"],
+        )
         np.testing.assert_allclose(found, expected, rtol=0.0, atol=1.0e-9 * 100.0)
 
 

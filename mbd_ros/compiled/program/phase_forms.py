@@ -94,8 +94,8 @@ class PhaseForms:
         """A cost of all letters at the end, with forces as polynomials of the last interval."""
         symbols, at_end = self.phase.symbols, ca.DM(scheme.values(np.ones(1)).T)
         points = {key: ca.SX.sym(key, symbols[key].numel(), scheme.degree) for key in _AT_POINTS}
-        own, ends = zip(*((symbols[key], one @ at_end) for key, one in points.items()), strict=True)
-        (cost,) = ca.substitute([ca.SX(cost)], list(own), list(ends))
+        own, ends = [symbols[key] for key in points], [one @ at_end for one in points.values()]
+        (cost,) = ca.substitute([ca.SX(cost)], own, ends)
         more = ca.vertcat(*(ca.vec(one) for one in points.values()))
         return self.node_form(ca.SX(0, 1), cost, more)
 

@@ -41,8 +41,8 @@ class Quantities:
     """Quantities by name.
 
     `<joint>.position`, `.velocity`, `.acceleration`, commands and excitations as tables call them,
-    internal states, multipliers, `<frame>.position.x` and `.velocity.x` of links, loads of joints as
-    `<link>.load.force_x`, and parameters.
+    internal states, multipliers, `<frame>.position.x` and `.velocity.x` of links, loads of joints
+    as `<link>.load.force_x`, and parameters.
 
     Args:
         phase: Of which phase.

@@ -45,8 +45,9 @@ class SymbolicReactions:
             Untraceable: Names a part whose forces have no symbols, or no points.
         """
         sums = self._summed([*self._of_rows, *self._of_loads(muscles=False)])
-        every = [self._in_joint(sums, self._rows[joint.v]) for joint in self._e.system.robot.joints]
-        return np.array([vector for vector in every], dtype=object).reshape(-1, 6)
+        places = [self._rows[joint.v] for joint in self._e.system.robot.joints]
+        every = [self._in_joint(sums, place) for place in places]
+        return np.array(every, dtype=object).reshape(-1, 6)
 
     def load(self, joined: Joined) -> list[Any]:
         """As `JointLoads` has it in axes of the link: muscles pull on bodies. Six numbers.
