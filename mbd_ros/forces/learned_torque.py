@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.learned.corrections import Corrections
 from mbd_ros.core.learned.model_file import LARGEST, About, LearnedFile, about, check_robot
-from mbd_ros.core.learned.training_range import TrainingRange
+from mbd_ros.core.learned.training_range import FADE, TrainingRange
 from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.outputs import Now, Output, Value
@@ -50,7 +50,7 @@ class LearnedTorque(Load):
         robot: Robot,
         *,
         model: LearnedFile,
-        fade: Annotated[Positive, Unit("-")] = 0.25,
+        fade: Annotated[Positive, Unit("-")] = FADE,
     ) -> None:
         self.file, self.said = model.name, (said := about(model))
         check_robot(model.name, said, robot)

@@ -23,7 +23,7 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.learned_entries import physics_beside
 
 MOST = 500  # samples that a network learns from
-MANY = 2000  # samples that corrections are learned from
+MANY = 5000  # samples that corrections are learned from
 _BLOCKS = 5  # of time, each left out once
 _RANK, _HOLD = 2, 1.0e-3  # of matrices beside weights, and the penalty on them
 
@@ -70,9 +70,9 @@ def adapt(columns: Columns, task: Task, samples: Samples, start: Learned, tell: 
         tell: Is told the share that is done.
     """
     many, network = thinned(samples, MANY), network_of(start.about.kind, start.scales)
-    left, said = many.effort - many.physics, start.trust * said_by(network, start.weights, many)
-    choice = _chosen(columns, start, many, left, said)
-    new = columns.known(many, left, said)
+    said = start.trust * said_by(network, start.weights, many)
+    choice = _chosen(columns, start, many, said)
+    new = columns.known(many, said)
     known = start.known.and_also(new) if choice.with_earlier else new
     numbers = columns.possible(fitted(known, choice.with_network))
     found = start._replace(known=known, numbers=numbers)
@@ -81,15 +81,16 @@ def adapt(columns: Columns, task: Task, samples: Samples, start: Learned, tell: 
     return found._replace(weights=_beside(network, columns, task, samples, found, tell))
 
 
-def _chosen(columns: Columns, start: Learned, many: Samples, left: Array, said: Array) -> Choice:
+def _chosen(columns: Columns, start: Learned, many: Samples, said: Array) -> Choice:
     """The first choice that none of those after it surely betters, on blocks left out."""
     rows, block = columns.of(many), blocks_of(many.count, _BLOCKS)
+    left = many.measured - many.physics
 
     def unseen(choice: Choice) -> Array:
         squares = np.zeros(_BLOCKS)
         for i in range(_BLOCKS):
             out = block == i
-            known = columns.known(many.at(~out), left[~out], said[~out])
+            known = columns.known(many.at(~out), said[~out])
             known = start.known.and_also(known) if choice.with_earlier else known
             error = left[out] - rows[out] @ fitted(known, choice.with_network)
             error -= choice.with_network * said[out]

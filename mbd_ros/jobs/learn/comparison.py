@@ -27,7 +27,7 @@ from mbd_ros.jobs.learn.adapting import MOST
 from mbd_ros.jobs.learn.ensembles import first_weights, network_of, said_by
 from mbd_ros.jobs.learn.fitting import INFORMED, fit
 from mbd_ros.jobs.learn.job import prediction, without_model
-from mbd_ros.jobs.learn.recordings import Recordings, first_seconds, share_of, thinned
+from mbd_ros.jobs.learn.recordings import FEWEST, Recordings, first_seconds, share_of, thinned
 from mbd_ros.jobs.learn.scales import Samples, Scales
 from mbd_ros.jobs.learn.task import Task
 from mbd_ros.jobs.learn.trust import blocks_of, trusted
@@ -35,7 +35,7 @@ from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
 
 WAYS = ("physics", "identified", "black box", "residual", "physics-informed")
-SECONDS = (1.0, 2.0, 3.0, 5.0, 10.0)
+SECONDS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 _LEAST_SHARE = 0.1  # of a recording: identification takes no less
 _RIDGE = 1.0e-2  # of the size of a column: friction of few samples stays small
 _BLOCKS = 5  # of time, each left out once
@@ -75,7 +75,8 @@ def compare(scene: Scene, task: Task, seeds: Sequence[int], say: Say) -> Compari
     first, rest = split(recordings.every[0], task.learned)
     assert rest is not None
     longest = float(first.times[-1])
-    amounts = [s for s in SECONDS if s < 0.9 * longest] + [longest]
+    enough = [s for s in SECONDS if s < 0.9 * longest and (first.times <= s).sum() >= FEWEST]
+    amounts = [*enough, longest]
     rows = []
     for seconds in amounts:
         said = _ways(scene, task, recordings, (first_seconds(first, seconds), rest), seeds)

@@ -17,7 +17,7 @@ from mbd_ros.core.identification.inertial_parameters import COUNT, moving_bodies
 from mbd_ros.core.identification.regressor import Regressor, random_states
 from mbd_ros.core.learned.model_file import About
 from mbd_ros.core.state import Array
-from mbd_ros.jobs.learn.curves import CURVES, curves_of
+from mbd_ros.jobs.learn.curves import FINE_CURVES, curves_of
 from mbd_ros.jobs.learn.scales import Samples, Scales
 from mbd_ros.scene.built_scene import Scene
 
@@ -71,7 +71,7 @@ class Columns:
     def of(self, samples: Samples) -> Array:
         """Torque of a unit of each number, shape (n, m, p)."""
         inertial = self._regressor.rows(samples.y, samples.w, samples.push)
-        curves = curves_of(samples.v, self._scales)
+        curves = curves_of(samples.v, self._scales, FINE_CURVES)
         n, m, size = curves.shape
         rubbing = np.zeros((n, m, m, size + 1))
         for j in range(m):
@@ -87,23 +87,23 @@ class Columns:
 
     def none(self) -> Array:
         """Numbers that change nothing, shape (p,)."""
-        return np.zeros(len(self._chosen) + len(self._joints) * (len(CURVES) + 2))
+        return np.zeros(len(self._chosen) + len(self._joints) * (len(FINE_CURVES) + 2))
 
-    def known(self, samples: Samples, left: Array, said: Array) -> Known:
-        """What samples say.
+    def known(self, samples: Samples, said: Array) -> Known:
+        """What samples say, with efforts as measured: a low-pass would round dry friction.
 
         Args:
             samples: The samples.
-            left: Efforts without the torques of the scene, shape (n, m).
-            said: Torque of the network, same shape.
+            said: Torque of the network, shape (n, m).
         """
+        left = samples.measured - samples.physics
         whole = np.concatenate([self.of(samples), left[..., None], said[..., None]], axis=2)
         k = whole.shape[2]
         R = np.zeros((whole.shape[1], k, k))
         for j, rows in enumerate(whole.transpose(1, 0, 2)):
             found = np.linalg.qr(rows, mode="r")
             R[j, : len(found)] = found
-        usual = np.sqrt(np.mean(np.square(samples.effort), axis=0))
+        usual = np.sqrt(np.mean(np.square(samples.measured), axis=0))
         usual = np.maximum(usual, _LEAST * max(float(usual.max()), 1.0e-300))
         plain = Known(R, np.full(len(R), float(samples.count)), usual)
         independent = _independent(plain, whole)
@@ -117,10 +117,10 @@ class Columns:
         ten = inertial.reshape(-1, COUNT)
         bodies = {name: ten[i].tolist() for i, name in enumerate(self._bodies) if ten[i].any()}
         friction = {}
-        for j, own in enumerate(numbers[r:].reshape(m, len(CURVES) + 2)):
-            bends = self._scales.v[j] * np.array(CURVES)
-            pairs = np.column_stack([own[: len(CURVES)], bends]).ravel()
-            viscous = own[len(CURVES)] / self._scales.v[j]
+        for j, own in enumerate(numbers[r:].reshape(m, len(FINE_CURVES) + 2)):
+            bends = self._scales.v[j] * np.array(FINE_CURVES)
+            pairs = np.column_stack([own[: len(FINE_CURVES)], bends]).ravel()
+            viscous = own[len(FINE_CURVES)] / self._scales.v[j]
             friction[self._joints[j]] = [float(own[-1]), float(viscous), *pairs.tolist()]
         return said._replace(bodies=bodies, friction=friction)
 

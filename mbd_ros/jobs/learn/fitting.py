@@ -6,6 +6,7 @@ import numpy as np
 
 from mbd_ros.core.learned.model_file import About, numbers_of
 from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError
 from mbd_ros.jobs.learn.adapting import MANY, MOST, adapt, check_start
 from mbd_ros.jobs.learn.correcting import Columns
 from mbd_ros.jobs.learn.ensembles import (
@@ -42,7 +43,8 @@ def fit(
         tell: Is told the share that is done.
 
     Raises:
-        DataError: torch is not installed, or the model to adapt is of other joints.
+        DataError: torch is not installed, or the model to adapt is of other joints or of another
+            version.
     """
     require_torch()
     if task.start is None:
@@ -50,6 +52,8 @@ def fit(
     else:
         check_start(task.start, joints, scene)
         columns = Columns(scene, joints, task.start.scales)
+        if task.start.numbers.shape != columns.none().shape:
+            raise DataError("--start: its weights are of another version; learn the model again")
         change = adapt if task.freeze == FREEZE[1] else _all_weights
         found = change(columns, task, samples, task.start, tell)
     return found._replace(about=_about(scene, found, samples, task.start))
@@ -77,7 +81,7 @@ def _new(
     trust = trusted(found.unseen, wanted, len(found.weights["W1"]), kind == "structured")
     columns = Columns(scene, joints, scales)
     said = trust * said_by(network, found.weights, many)
-    known = columns.known(many, many.effort - many.physics, said)
+    known = columns.known(many, said)
     wall = np.zeros(2 * len(joints))
     about = About(kind, "", joints, wall, wall, {})
     return Learned(about, scales, found.weights, trust, known, columns.none())
@@ -99,7 +103,7 @@ def _all_weights(
     plan = Plan(task.rounds, seed=task.seed, rate=task.rate, leaves_out=False)
     weights = train(network, start.weights, few, wanted, plan, around, tell).weights
     said = said_by(network, weights, many)
-    known = start.known.and_also(columns.known(many, many.effort - many.physics, said))
+    known = start.known.and_also(columns.known(many, said))
     return start._replace(weights=weights, trust=np.ones_like(start.trust), known=known)
 
 

@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.learned.model_file import numbers_of
+from mbd_ros.core.learned.training_range import TrainingRange
+from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.files.recordings import Source
 from mbd_ros.files.table import Column, Result, Table
@@ -133,12 +135,21 @@ def physics_of(scene: Scene, task: Task, say: Say) -> Scene:
 
 def prediction(scene: Scene, model: Learned, samples: Samples) -> Any:
     """Torque of the scene and of the model [N·m or N], shape (n, m)."""
-    network = network_of(model.about.kind, model.scales)
-    found = samples.physics + model.trust * said_by(network, model.weights, samples)
+    found = samples.physics + model.trust * _within_range(model, samples)
     if model.numbers.any():
         columns = Columns(scene, model.about.joints, model.scales)
         found += columns.torque(samples, model.numbers)
     return found
+
+
+def _within_range(model: Learned, samples: Samples) -> Array:
+    """Torque of the network as `LearnedTorque` lets it act, shape (n, m)."""
+    network, about, m = network_of(model.about.kind, model.scales), model.about, samples.q.shape[1]
+    whole = TrainingRange(about.low, about.high).shares(np.hstack([samples.q, samples.v]))
+    places = TrainingRange(about.low[:m], about.high[:m]).shares(samples.q)
+    still = said_by(network, model.weights, samples._replace(a=np.zeros_like(samples.a)))
+    inertial = said_by(network, model.weights, samples) - still
+    return whole[:, None] * still + places[:, None] * inertial
 
 
 def _validated(

@@ -20,7 +20,7 @@ from mbd_ros.scene.built_scene import Scene
 _MEASURED = 0.99  # of the samples: a joint with fewer efforts is not learned
 FEWEST = 20  # samples
 _END = 0.75  # periods of the end of the band: where derivatives lack a neighbour
-_INNER = 0.5  # of the samples of a piece: with fewer the ends are kept
+_INNER = 0.5  # of the samples of a piece: with fewer, or with less than `FEWEST`, ends are kept
 
 
 class Recordings:
@@ -102,7 +102,8 @@ class Recordings:
             return samples
         times, end = samples.times, _END / self.band
         inner = (times >= times[0] + end) & (times <= times[-1] - end)
-        return samples.at(inner) if inner.mean() > _INNER else samples
+        is_enough = inner.mean() > _INNER and inner.sum() >= FEWEST
+        return samples.at(inner) if is_enough else samples
 
     def _of_piece(self, scene: Scene, piece: Piece) -> Samples:
         at = IndependentCoordinates(scene.robot, scene.couplings)
