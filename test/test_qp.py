@@ -56,6 +56,14 @@ def test_other_backends_give_the_same_answer(backend):
         )
 
 
+def test_rows_on_one_axis_that_differ_in_the_last_digits_end_with_one_at_its_bound():
+    """Stiction and a stop of one joint, beside a load that makes 1e-7 less than a solver sees."""
+    A = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    b, lower = np.array([3.0, -3.0 + 1e-7, 1e3]), np.array([-2.0, 0.0, 0.0])
+    lam = BoxQp(3).solve(A, b, lower, np.array([2.0, np.inf, np.inf]))
+    assert np.abs(lam - [-2.0, 1.0 - 1e-7, 0.0]).max() <= 1e-12
+
+
 @pytest.mark.parametrize("scale", [1e-4, 1.0, 1e4])
 def test_singular_problems_and_any_scale_end_complementary(scale):
     rng = np.random.default_rng(3)

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.optimization.active_set import factored, least_norm, on_active_set
 from mbd_ros.core.optimization.qp_solvers import KeptProxQp, OtherSolver, counted
@@ -167,6 +168,25 @@ def _polished(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> Arr
             left = A.dot(stepped) + b
             lam = kept(stepped + on_active_set(A, left, none, free, least_norm))
             residual = complementarity_residual(A, b, lower, upper, lam)
+        if residual > _SOLVED:  # rows that ask for different things: one of them gives way
+            lam = _descended(A, b, lower, upper, lam, free)
+            residual = complementarity_residual(A, b, lower, upper, lam)
         if residual < least:
             best, least = lam, residual
     return best
+
+
+def _descended(
+    A: Array, b: Array, lower: Array, upper: Array, lam: Array, free: NDArray[np.bool_]
+) -> Array:
+    """Along the gradient of the free rows, to the least value or to the first bound.
+
+    Where A is singular in that direction, only a bound ends it: a joint that sticks at its stop
+    has two rows on one axis, of which one is to reach its bound.
+    """
+    way = np.where(free, -(A.dot(lam) + b), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(way > 0.0, upper - lam, lower - lam) / way
+        least = way.dot(way) / max(float(way.dot(A.dot(way))), 0.0)
+    step = min(float(room[way != 0.0].min(initial=np.inf)), float(least))
+    return np.minimum(np.maximum(lam + step * way, lower), upper) if step < np.inf else lam

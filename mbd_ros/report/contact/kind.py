@@ -19,7 +19,7 @@ _PEERS = {
     "mujoco": "mbd_ros.report.contact.mujoco_contacts",
     "pydrake": "mbd_ros.report.contact.drake_contacts",
 }
-_SECONDS, _SECONDS_QUICK = 90.0, 8.0
+_SECONDS, _SECONDS_QUICK = 25.0, 8.0
 
 
 def items(scenes: Sequence[str], quick: bool) -> list[Item]:

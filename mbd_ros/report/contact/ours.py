@@ -20,7 +20,7 @@ SETUP = (
     "mbd_ros: moreau_jean, and where gaps are smooth rk4 with fixed steps and dop853 with "
     "tolerances, which end their steps where contacts open, close, slip or stick."
 )
-_STEPS = (0.2, 0.1, 5e-2, 2e-2, 1e-2, 5e-3, 2e-3, 1e-3, 5e-4)  # s
+_STEPS = (0.2, 0.1, 5e-2, 2e-2, 1e-2, 5e-3, 2e-3)  # s
 _SHORTEST = 5e-3  # s, of rk4, which needs no shorter ones from event to event
 _TOLERANCES = (1e-4, 1e-6, 1e-8, 1e-10, 1e-12)
 _LONGEST = 1e-2  # s, first step of a method that chooses the others

@@ -105,7 +105,7 @@ def _bounce() -> Problem:
 
 def stuck() -> Problem:
     """A box of four contact points that should not creep; the error is its speed."""
-    times = _samples(10.0, 2)
+    times = _samples(4.0, 2)
 
     def error(run: Trace) -> float:
         early, late = run.x[:, 0, :2]

@@ -17,7 +17,7 @@ from mbd_ros.report.precision.rungs import Record, timed
 from mbd_ros.scene.built_scene import Scene
 
 OURS, NATIVE = "mbd_ros", "mbd_ros, compiled"
-_LONG = 0.3  # s; runs are not repeated beyond that
+_LONG = 0.1  # s; runs are not repeated beyond that
 USELESS = 1.0e2  # error of a run that says nothing [rad or m]
 Found = TypeVar("Found")
 Found_co = TypeVar("Found_co", covariant=True)

@@ -49,7 +49,7 @@ _STEPS = (
 )  # s
 _LARGEST = {"dop853": 0.05, "rk4": 0.01, "adams": 0.01}
 _SMALLEST = {"dop853": 2e-3, "rk4": 5e-4, "adams": 2.5e-4}
-_SECONDS, _SECONDS_QUICK = 60.0, 8.0
+_SECONDS, _SECONDS_QUICK = 40.0, 8.0
 _SPAN = 1.0  # s
 
 

@@ -86,7 +86,7 @@ def climb(scene: Scene, family: str, motion: Known, quick: bool) -> list[Record]
             records += climbed
             if thin == 1 and family in REFINED and ladder.coarsest is not None:
                 most = 3.0 * _budget(scene, solver, thin, quick)
-                records += [measure(scene, c, motion, 3, most) for c in between(climbed)]
+                records += [measure(scene, c, motion, 2, most) for c in between(climbed)]
     return records
 
 
@@ -130,7 +130,7 @@ def _variants(scene: Scene, family: str, quick: bool) -> Iterator[tuple[str, Any
 def _climb(
     scene: Scene, ladder: Ladder, variant: tuple[str, Any], motion: Known, thin: int, quick: bool
 ) -> list[Record]:
-    """One ladder; with `thin` 2 every other rung and half the time."""
+    """One ladder; with `thin` 2 every other rung and a quarter of the time."""
     records: list[Record] = []
     budget = _budget(scene, variant[0], thin, quick)
     predicted, misses, best = 0.0, 0, math.inf
@@ -141,7 +141,7 @@ def _climb(
         if predicted > budget:
             records.append(dict(choice._asdict()) | {"left_out": f"{predicted:.2g} evaluations"})
             break
-        repeats = 3 if predicted < 0.3 * budget else 2
+        repeats = _repeats(predicted / budget)
         record = measure(scene, choice, motion, repeats, 3.0 * budget)
         records.append(record)
         if "stopped" in record:
@@ -175,9 +175,14 @@ def _rungs(
         yield Choice(solver, stabilization, ladder.integrator, dt), 2.2**thin
 
 
+def _repeats(share: float) -> int:
+    """How often a run is made that takes a share of what it may: noise is small in long ones."""
+    return 3 if share < 0.1 else 2 if share < 0.3 else 1
+
+
 def _budget(scene: Scene, solver: str, thin: int, quick: bool) -> float:
     """Evaluations that a run may take."""
-    return (0.05 if quick else 0.2 / thin) / _evaluation(scene, solver)
+    return (0.05 if quick else 0.2 / thin**2) / _evaluation(scene, solver)
 
 
 def _evaluation(scene: Scene, solver: str) -> float:
@@ -194,5 +199,5 @@ def planned(scene: Scene, family: str, quick: bool) -> float:
     """About how long `climb` takes [s]."""
     per_run = 0.05 if quick else 0.2
     main, others = len(FAMILIES[family]), len(list(_variants(scene, family, quick))) - 1
-    rungs = 6.0 if family in REFINED and not quick else 4.0
-    return per_run * (rungs * main + 1.5 * others * main) + 1.0
+    rungs = 4.0 if family in REFINED and not quick else 2.5
+    return per_run * (rungs * main + 0.4 * others * main) + 1.0

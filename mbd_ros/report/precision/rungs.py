@@ -32,7 +32,8 @@ def measure(scene: Scene, choice: Choice, motion: Known, repeats: int, most: flo
 
     Returns:
         The choice and errors [rad, m, their rates, J, of the largest multiplier], CPU `seconds`
-        per simulated second, `spread` of the repeats, `evaluations`; or `stopped`.
+        per simulated second, `spread` of the repeats (None without any), `evaluations`; or
+        `stopped`.
     """
     record: Record = dict(choice._asdict())
     seconds: list[float] = []
@@ -46,7 +47,8 @@ def measure(scene: Scene, choice: Choice, motion: Known, repeats: int, most: flo
     if not record["position"] < _USELESS:
         return record | {"stopped": "far off"}
     best = min(seconds)
-    record |= {"seconds": best, "spread": sorted(seconds)[len(seconds) // 2] / best - 1.0}
+    spread = sorted(seconds)[len(seconds) // 2] / best - 1.0 if len(seconds) > 1 else None
+    record |= {"seconds": best, "spread": spread}
     return record | {"evaluations": simulation.system.evaluations, "steps": simulation.steps}
 
 

@@ -24,7 +24,8 @@ _TEXT = (
     "the largest difference of a joint [rad or m] at the samples; energy in J; multipliers are "
     "those of the equations at the state that was reached, relative to the largest one. Time is "
     "CPU time of one thread per simulated second for the integration alone, without building, "
-    "assembling and output: best of two or three runs, with the median above it as spread.",
+    "assembling and output: best of up to three runs, with the median above it as spread; "
+    "long runs are made once.",
     "Every formulation meets every stabilization with rk4; the other integrators take one of the "
     "two as the scene has it by itself, and those ladders have every other rung. RATTLE, SHAKE "
     "and generalized-alpha keep the rows themselves. `compiled` is the scene as it is by itself "
@@ -187,7 +188,7 @@ def _row(run: Mapping[str, Any]) -> list[str]:
         choice.fineness,
         choice.solver,
         (choice.stabilization or {}).get("type", "-"),
-        f"{100 * run['spread']:.0f} %",
+        "-" if run["spread"] is None else f"{100 * run['spread']:.0f} %",
         *(shown(run.get(key)) for key in ("velocity", "energy", "drift", "multipliers")),
     ]
 

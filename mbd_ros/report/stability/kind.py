@@ -35,7 +35,7 @@ from mbd_ros.report.stability.verdicts import judge, step_on
 from mbd_ros.scene.built_scene import Scene
 
 KIND = "stability"
-SCENES, BATCH, QUICK = 2100, 100, 30
+SCENES, BATCH, QUICK = 2000, 100, 30
 _USER_FACTORS = (0.1, 1.0, 10.0)
 _SECONDS = 0.4  # a random scene
 
