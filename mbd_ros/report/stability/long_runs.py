@@ -167,7 +167,8 @@ def section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
         "power of the step that is their order.",
         "Gauss-Legendre and generalized-alpha, and on the four-bar all but RATTLE, run for a "
         f"{_SHORTER}th of the steps, to save time. "
-        f"Wrong is a run that stops, is not finite, opens a constraint by more than {CLOSED:g}, ends with an energy off by more than {_STAYS:.0%}, or has a "
+        "Wrong is a run that stops, is not finite, opens a constraint by more than "
+        f"{CLOSED:g}, ends with an energy off by more than {_STAYS:.0%}, or has a "
         f"velocity violation above {_SLOW:g} (1 + largest velocity); for generalized-alpha, which "
         "keeps positions only, above (step × fastest rate)² / 12 of that velocity.",
     ]
