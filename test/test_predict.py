@@ -246,6 +246,7 @@ CONTRADICTORY = {
     "an unknown quantity": ({"end": {"slid.position": 1.0}}, "slide.position"),
     "a time of nothing": ({"duration": 0.0}, "duration: a phase that lasts no time"),
     "no goal": ({"goals": []}, "goals"),
+    "durations beside one of all": ({"phases": [{"duration": 1.0}]}, "predict.duration: phases"),
 }
 
 

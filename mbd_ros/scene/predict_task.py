@@ -147,10 +147,12 @@ def _task(
     track = recording_of(recording, f"{where}.recording", folder)
     if duration is None and not phases and track is None:
         raise SceneError(f"{where}: key 'duration' is missing")
+    if duration is not None and phases:
+        raise SceneError(f"{where}.duration: phases have their own; accepted: in each phase")
     is_free = start == FREE or bool(periodic) or bool(symmetric) or track is not None
     whole = PhaseTask(
         "",
-        None if duration is None or phases else duration_of(duration, f"{where}.duration"),
+        None if duration is None else duration_of(duration, f"{where}.duration"),
         ranges(bounds or {}, f"{where}.bounds"),
         {} if start is None or start == FREE else ranges(start, f"{where}.start"),
         ranges(end or {}, f"{where}.end"),

@@ -183,11 +183,12 @@ class PhaseForms:
     def _closing(self) -> Form:
         """G = 0, g' = 0, and shifts along J' of as many multipliers."""
         phase, sizes = self.phase, self.phase.sizes
-        shifts, pulls = ca.SX.sym("e", 2 * sizes.nv), ca.SX.sym("k", sizes.mg + sizes.m)
-        of_positions, of_all = phase.jacobians
-        along = ca.vertcat(of_positions.T @ pulls[: sizes.mg], of_all.T @ pulls[sizes.mg :])
+        shifts = ca.SX.sym("e", 2 * sizes.nv)
+        of_positions, of_all = (ca.SX.sym("k", count) for count in (sizes.mg, sizes.m))
+        J_of_positions, J_of_all = phase.jacobians
+        along = ca.vertcat(J_of_positions.T @ of_positions, J_of_all.T @ of_all)
         rows = ca.vertcat(phase.positions, phase.velocities, shifts - along)
-        return self.node_form(rows, more=ca.vertcat(shifts, pulls))
+        return self.node_form(rows, more=ca.vertcat(shifts, of_positions, of_all))
 
 
 def _flattened(places: Places) -> Places:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbd_ros.core.prediction.unknowns import PhaseMotion
+from mbd_ros.core.prediction.unknowns import BODY, PhaseMotion, steps_of
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
 from mbd_ros.jobs.predict.modes import PhaseMode
@@ -70,7 +70,37 @@ def _straight(phase: "MotionPhase", state: Any, begin: float) -> PhaseMotion:
     widths = {"a": sizes.nv, "w": sizes.nz, "u": sizes.nu, "l": sizes.m}
     points |= {key: np.zeros((m, width)) for key, width in widths.items()}
     points["d"] = np.zeros((m + mesh.intervals, 6 * len(sizes.bases)))
-    return PhaseMotion(mesh, begin, duration, nodes, points, sizes.bases)
+    motion = PhaseMotion(mesh, begin, duration, nodes, points, sizes.bases)
+    if sizes.bases:
+        _move_bodies(phase, motion)
+    return motion
+
+
+def _move_bodies(phase: "MotionPhase", motion: PhaseMotion) -> None:
+    """Let free bodies screw from pose to pose; as they start where nothing says their end."""
+    ends = (one for name in phase.problem.end for one in phase.quantities.find(name))
+    named = {one.index for one in ends if one.letter == "q"}
+    for at_q, at_v in motion.bases:
+        q, v = slice(at_q, at_q + 7), slice(at_v, at_v + 6)
+        first, last = _unit(motion.nodes["q"][0, q]), _unit(motion.nodes["q"][-1, q])
+        twist = motion.nodes["v"][0, v].copy()
+        if named.intersection(range(at_q, at_q + 7)):
+            twist = BODY.difference(first, last) / motion.duration
+        for shares, found in (
+            (motion.mesh.knots, motion.nodes),
+            (motion.mesh.shares, motion.points),
+        ):
+            steps = shares[:, None] * motion.duration * twist
+            found["q"][:, q] = [BODY.integrate(first, step) for step in steps]
+            found["v"][:, v] = twist
+    steps = steps_of(motion.mesh, motion.nodes["q"], motion.points["q"], motion.bases)
+    motion.points["d"][:] = steps
+
+
+def _unit(pose: Any) -> Any:
+    """The pose with a quaternion of size 1; without a turn where it has no size."""
+    size = float(np.linalg.norm(pose[3:]))
+    return np.append(pose[:3], pose[3:] / size if size > 0.0 else [0.0, 0.0, 0.0, 1.0])
 
 
 def _let_fibers_rest(phase: "MotionPhase", motion: PhaseMotion, lines: Lines) -> None:

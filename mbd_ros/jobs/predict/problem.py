@@ -15,7 +15,7 @@ from mbd_ros.core.projection.independent_limits import independent_limits
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.jobs.predict.closed_guess import close
-from mbd_ros.jobs.predict.driving import driven
+from mbd_ros.jobs.predict.driving import Driven, driven
 from mbd_ros.jobs.predict.guesses import guesses_of
 from mbd_ros.jobs.predict.modes import PhaseMode, linkages_of, modes_of, started
 from mbd_ros.jobs.predict.recording import Recording, given_inputs, recorded
@@ -45,6 +45,7 @@ class Problem(NamedTuple):
         links: Unknowns of what links phases, such as impulses; None for zeros.
         recording: Of the motion; None without one.
         changes: What the scene has otherwise than the one that was given, a line each.
+        residuals: Names of the wrenches that drive free bases.
     """
 
     scene: Scene
@@ -55,6 +56,7 @@ class Problem(NamedTuple):
     links: Any = None
     recording: Recording | None = None
     changes: tuple[str, ...] = ()
+    residuals: tuple[str, ...] = ()
 
 
 def problem_of(scene: Scene, task: PredictTask) -> Problem:
@@ -66,7 +68,8 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
     """
     from mbd_ros.compiled.program.motion_program import MotionProgram, Parameter
 
-    scene, where = driven(scene, task.driven_by), task.source or scene.name
+    where, bounded = task.source or scene.name, [key for one in task.phases for key in one.bounds]
+    scene, residuals = driven(scene, task.driven_by, bounded)
     scene, task, recording = recorded(scene, task)
     scene, task, changes = traceable(scene, task, recording)
     names = list(task.parameters)
@@ -76,7 +79,7 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
         first = started(scene, modes[0])
         if recording is not None:
             first = first._replace(t=recording.begin)
-        phases = _phases(scene, task, modes, first, recording)
+        phases = _phases(Driven(scene, residuals), task, modes, first, recording)
         for phase in phases:
             phase.check()
         linkages = linkages_of(scene, task, modes, phases)
@@ -88,12 +91,12 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
     program = MotionProgram(phases, parameters, first.t, linkages)
     for phase, guess in zip(phases, guesses, strict=True):
         close(phase.equations, guess, values)
-    more = {"changes": changes, "recording": recording}
+    more = {"recording": recording, "changes": changes, "residuals": residuals}
     return Problem(scene, program, guesses, values, modes, **more)
 
 
 def _phases(
-    scene: Scene,
+    given: Driven,
     task: PredictTask,
     modes: Sequence[PhaseMode],
     first: State,
@@ -104,7 +107,7 @@ def _phases(
     from mbd_ros.compiled.program.phase_equations import PhaseEquations
     from mbd_ros.scene.symbolic_parts import traced
 
-    names, found = list(task.parameters), list[MotionPhase]()
+    scene, names, found = given.scene, list(task.parameters), list[MotionPhase]()
     begin, motion_file = first.t, task.recording.motion if task.recording else None
     references = References(scene, recording, motion_file, begin)
     for i, (mode, asked) in enumerate(zip(modes, task.phases, strict=True)):
@@ -122,7 +125,7 @@ def _phases(
             "closes_start": is_open,
             "sensors": scene.sensors,
             "limits": held_limits(equations, mode.demands, equations.symbols["l"], task.grip),
-            "given": given_inputs(scene, recording, begin, middle),
+            "given": given_inputs(given, asked.bounds, recording, begin, middle),
         }
         found.append(MotionPhase(problem, equations, numbers, **more))
         begin += middle

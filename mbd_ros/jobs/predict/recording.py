@@ -1,6 +1,6 @@
 """A recorded motion with the loads that were measured: what a motion begins with and tracks."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -13,7 +13,7 @@ from mbd_ros.errors import DataError, SceneError
 from mbd_ros.files.recordings import read_motion
 from mbd_ros.jobs.inverse.opensim_splines import opensim_splines
 from mbd_ros.jobs.inverse.wrenches import read_loads, wrench_at
-from mbd_ros.jobs.predict.driving import is_residual
+from mbd_ros.jobs.predict.driving import Driven, driving_wrenches
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.predict_recording import RecordingTask
 from mbd_ros.scene.predict_task import PredictTask
@@ -80,22 +80,27 @@ def recorded(scene: Scene, task: PredictTask) -> tuple[Scene, PredictTask, Recor
 
 
 def given_inputs(
-    scene: Scene, recording: Recording | None, begin: float, duration: float
+    driven: Driven,
+    bounded: Iterable[str],
+    recording: Recording | None,
+    begin: float,
+    duration: float,
 ) -> GivenInputs:
-    """The loads of a phase; those that nobody measured are zero.
+    """The loads of a phase; those that nobody measured are zero, but for those that drive.
 
     Args:
-        scene: The scene.
+        driven: The scene, and which of its wrenches drive its bases.
+        bounded: Names of quantities with bounds.
         recording: With the loads; None for none.
         begin: Of the phase [s].
         duration: Of the phase [s].
     """
-    names = [name for name in scene.wrenches if not is_residual(name)]
-    slots = scene.inputs.slots
-    places = np.concatenate(
-        [np.arange(slots[name].start, slots[name].stop) for name in names] or [np.zeros(0)]
-    )
-    loaded = () if recording is None else recording.loaded
+    names = [name for name in driven.scene.wrenches if name not in driven.residuals]
+    inputs, loaded = driven.scene.inputs, () if recording is None else recording.loaded
+    every = [at for name in names for at in range(inputs.slots[name].start, inputs.slots[name].stop)]
+    free = set(driving_wrenches(driven.scene, bounded)) if recording is None else set[str]()
+    known = [i for i, at in enumerate(every) if inputs.names[at] not in free]
+    places = np.array(every, dtype=np.intp)[known]
     kept: list[tuple[bytes, Array]] = []
 
     def at(shares: Array) -> Array:
@@ -106,10 +111,11 @@ def given_inputs(
             if recording is not None and loaded:
                 loads = recording.loads(begin + duration * shares)
                 given |= dict(zip(loaded, loads, strict=True))
-            kept[:] = [(key, np.hstack([given[name] for name in names] or [none[:, :0]]))]
+            whole = np.hstack([given[name] for name in names] or [none[:, :0]])
+            kept[:] = [(key, whole[:, known])]
         return kept[0][1]
 
-    return GivenInputs(places.astype(np.intp), at)
+    return GivenInputs(places, at)
 
 
 def _read(scene: Scene, asked: RecordingTask) -> Motion:

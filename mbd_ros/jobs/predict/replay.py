@@ -57,19 +57,22 @@ def _pieces(motion: PhaseMotion, most: int) -> tuple[Array, Array]:
     return motion.begin + motion.duration * mesh.knots[:-1], found
 
 
-def simulation_of(scene: Scene, motions: Sequence[PhaseMotion], error: float) -> Simulation:
+def simulation_of(
+    scene: Scene, motions: Sequence[PhaseMotion], error: float, samples: int = 1
+) -> Simulation:
     """A simulation of a scene under the inputs of a motion, a thousand times finer than it.
 
     Args:
         scene: The scene.
         motions: Of the phases.
         error: Between nodes, relative.
+        samples: How many of the longest phase it gives.
     """
     tolerance = min(max(_SHARE * error, _LEAST), _MOST)
     is_stiff = any(muscle.is_elastic for muscle in scene.muscles) and not scene.phases
     word = "auto" if is_stiff else "plain"
     solver = {"type": word} if scene.solver.tier == "auto" else None
-    dt = max(motion.duration for motion in motions)
+    dt = max(motion.duration for motion in motions) / samples
     accurate = {"type": "dop853", "tolerance": tolerance}
     options = {"integrator": accurate, "dt": dt, "solver": solver}
     return scene.simulation(sources=sources_of(scene, motions), **options)

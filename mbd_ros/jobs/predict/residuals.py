@@ -6,7 +6,6 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.jobs.predict.driving import is_residual
 from mbd_ros.jobs.predict.solving import Found
 
 _PLANAR = 3  # joints to the ground, from which on a body moves freely
@@ -50,10 +49,10 @@ def residuals_of(found: Found) -> Iterator[Residual]:
         if name in first.quantities.names and first.quantities.find(name)[0].letter == "u":
             at = first.quantities.find(name)[0].index
             yield _residual(name, "N" if joint in scene.robot.sliding else "N·m", u[:, at])
-    for part, slots in scene.inputs.slots.items():
-        if is_residual(part):
-            for at in range(slots.start, slots.stop):
-                yield _residual(scene.inputs.names[at], units[at], u[:, at])
+    for part in problem.residuals:
+        slots = scene.inputs.slots[part]
+        for at in range(slots.start, slots.stop):
+            yield _residual(scene.inputs.names[at], units[at], u[:, at])
 
 
 def _residual(name: str, unit: str, values: np.ndarray) -> Residual:
