@@ -97,7 +97,9 @@ def given_inputs(
     """
     names = [name for name in driven.scene.wrenches if name not in driven.residuals]
     inputs, loaded = driven.scene.inputs, () if recording is None else recording.loaded
-    every = [at for name in names for at in range(inputs.slots[name].start, inputs.slots[name].stop)]
+    every = [
+        at for name in names for at in range(inputs.slots[name].start, inputs.slots[name].stop)
+    ]
     free = set(driving_wrenches(driven.scene, bounded)) if recording is None else set[str]()
     known = [i for i, at in enumerate(every) if inputs.names[at] not in free]
     places = np.array(every, dtype=np.intp)[known]
