@@ -72,3 +72,36 @@ def test_a_sled_gets_sideways_without_slipping():
     angle, v = result["samples"]["turn.position"], result["samples"]
     aside = v["y.velocity"] * np.cos(angle) - v["x.velocity"] * np.sin(angle)
     np.testing.assert_allclose(aside, 0.0, atol=1.0e-6)
+
+
+def test_four_rotors_carry_a_body_to_another_place():
+    """Each pushes along its axis alone; hovering for as long takes a little less."""
+    places = {"front": "0.2 0 0", "left": "0 0.2 0", "back": "-0.2 0 0", "right": "0 -0.2 0"}
+    arms = [
+        f"<link name='{name}'/>" + joint(f"to_{name}", "fixed", "body", name, "1 0 0", place)
+        for name, place in places.items()
+    ]
+    robot = f"<robot name='r'>{link('body', 1.0, inertia=0.02)}{''.join(arms)}</robot>"
+    rotors = {f"{name}_rotor": {"frame": name} for name in places}
+    sections = {"robot": {"base": "floating"}, "external_wrenches": rotors}
+    end = {
+        "base.position.x": 2.0,
+        "base.position.y": 1.0,
+        "base.position.z": 1.0,
+        "*velocity*": 0.0,
+    }
+    end |= {f"base.orientation.{axis}": 0.0 for axis in "xyz"}
+    task = {"duration": 2.0, "bounds": {"*_rotor.Fz": [0.0, 6.0]}, "end": end, "goals": EFFORT}
+    result = mbd.scene_from(sections, urdf=robot).predict(task)
+    hovering = 2.0 * 9.81**2 / 4.0
+    assert hovering < result.metadata["cost"] < 1.1 * hovering
+    assert result.metadata["replay"] < 1.0e-6
+
+
+@pytest.mark.soak
+def test_free_bodies_that_go_where_they_like():
+    """The springs and bodies of the free flyer move by themselves; straight lines lead nowhere."""
+    task = {"duration": 2.0, "end": {"swing.position": 0.0, "twist.position": 0.5}}
+    result = mbd.load_scene("free_flyer").predict(task | {"goals": EFFORT})
+    assert result.metadata["iterations"] < 50
+    assert result.metadata["replay"] < 1.0e-6

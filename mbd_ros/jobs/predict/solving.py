@@ -12,6 +12,7 @@ from mbd_ros.core.prediction.mesh import Mesh
 from mbd_ros.core.prediction.unknowns import PhaseMotion, steps_of
 from mbd_ros.core.state import Array
 from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.predict.attempts import Beginning, solved_from
 from mbd_ros.jobs.predict.interruption import Interruption, interruptible
 from mbd_ros.jobs.predict.looks import SAVED, Look, Passing, look_at, next_mesh
 from mbd_ros.jobs.predict.problem import Problem
@@ -94,25 +95,14 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
 
 
 def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interruption) -> Found:
-    guesses, parameters, cost_size = list(problem.guesses), problem.parameters, 1.0
+    begin = Beginning(list(problem.guesses), problem.parameters, problem.links)
     total, lines, costs = 0, list[str](), list[float]()
-    is_near, links = False, problem.links
     has_pieces = problem.recording is None and problem.program.has_pieces
     for round_ in range(task.mesh.refinements + 1):
         watcher = _Watcher(round_, interruption, has_pieces=has_pieces)
-        solution = problem.program.solve(
-            guesses,
-            parameters,
-            accuracy=task.accuracy,
-            cost_size=cost_size,
-            most=task.iterations,
-            is_near=is_near,
-            links=links,
-            has_kinks=problem.recording is not None,
-            tell=watcher,
-        )
+        solution, spent = solved_from(problem, begin, task, watcher, say)
         solved = solution.solved
-        total += solved.iterations
+        total += spent
         found, looks = _judged(problem, solution, task, total, lines)
         lines.append(mesh_line(round_, solution, found.worst))
         say(lines[-1])
@@ -129,9 +119,9 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
             moved(motion, next_mesh(motion.mesh, error, look, task.tolerance))
             for motion, error, look in zip(solution.motions, found.errors, looks, strict=True)
         ]
-        parameters, links = solution.parameters, solution.links
-        cost_size = max(abs(solved.cost), _LEAST * cost_size)
-        is_near = problem.recording is None
+        size = max(abs(solved.cost), _LEAST * begin.cost_size)
+        near = problem.recording is None
+        begin = Beginning(guesses, solution.parameters, solution.links, size, near)
     return found
 
 
