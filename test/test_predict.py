@@ -105,14 +105,14 @@ def test_limits_that_act_along_arcs_are_kept():
 
 def test_a_bound_that_is_passed_between_nodes_is_named():
     """By how much, when, and what is accepted; errors alone would be small enough."""
-    task = REACH | {"mesh": {"refinements": 3}}
+    task = REACH | {"tolerance": 1.0e-6, "mesh": {"refinements": 2}}
     with pytest.raises(NotConvergedError) as caught:
         mbd.load_scene("prosthetic_arm").predict(task)
     said, metadata = str(caught.value), caught.value.result.metadata
-    assert metadata["error"] < 1.0e-7 < metadata["passed"]
+    assert metadata["error"] < 1.0e-6 < metadata["passed"]
     assert re.match(r"\S+\.velocity passes its (upper|lower) bound \S+ by \S+ between nodes", said)
     assert "at t = 0." in said
-    assert "3e-09 is accepted" in said
+    assert "3e-08 is accepted" in said
     assert "error between nodes" not in said
 
 

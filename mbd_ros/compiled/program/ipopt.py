@@ -18,8 +18,8 @@ _GOOD = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Feasible_Point_Found"
 _WARM = {
     "mu_strategy": "adaptive",
     "mu_init": 1.0e-7,
-    "bound_push": 1.0e-9,
-    "bound_frac": 1.0e-9,
+    "bound_push": 1.0e-4,  # nearer to a bound, where it no longer acts, steps are short
+    "bound_frac": 1.0e-4,
     "bound_mult_init_method": "mu-based",
 }
 # of programs whose slopes jump: it ends where the cost no longer changes, though the slope of the
@@ -104,6 +104,7 @@ def solve(
         "bound_relax_factor": 0.0,
         "max_iter": most,
         "linear_solver": "mumps",
+        "mumps_permuting_scaling": 0,  # usual sizes do that; permuted, factors are a third larger
         **(_WARM if is_near else {}),
         **options,
     }

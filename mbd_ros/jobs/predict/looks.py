@@ -118,8 +118,11 @@ def _saving(saved: Array, most: float) -> Any:
     of_each = saved.sum(axis=1, keepdims=True)
     if of_each.sum() <= most:
         return np.zeros(saved.shape, dtype=np.bool_)
+    rising = np.argsort(of_each[:, 0])
+    is_left = np.cumsum(of_each[rising, 0]) <= most / 2.0
     matters = saved > _PART * saved.max(axis=1, keepdims=True)
-    return matters & (of_each > most / (2.0 * len(saved)))
+    matters[rising[is_left]] = False
+    return matters
 
 
 def _passings(
