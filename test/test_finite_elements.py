@@ -185,6 +185,20 @@ def test_a_mesh_in_other_units_or_another_place_is_refused(walk):
         pylon(*walk, mesh=turned)
 
 
+def test_a_solid_that_nothing_holds(walk):
+    """Two tubes, one beyond the other; tied where a load has nodes of both."""
+    mesh = tube(0.0125, 0.015, 0.36, (1, 8, 4))
+    points = mesh.points + np.array([0.0, 0.0, -0.4])
+    (kind, cells), n = mesh.blocks[0], len(points)
+    both = ((kind, np.vstack((cells, cells + n))),)
+    inner = mesh._replace(points=np.vstack((points, 0.8 * points)), blocks=both)
+    with pytest.raises(DataError, match=f"{n} nodes, .* share no element with what knee holds"):
+        pylon(*walk, mesh=inner)
+    top = np.concatenate((mesh.sets["top"], mesh.sets["top"] + n))
+    body, _, _ = pylon(*walk, mesh=inner._replace(sets={**mesh.sets, "top": top}))
+    assert len(body.held.nodes) == 2 * len(mesh.sets["top"])
+
+
 @pytest.mark.parametrize(
     ("other", "says"),
     [

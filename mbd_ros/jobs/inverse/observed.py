@@ -99,9 +99,9 @@ def observe_motion(
 ) -> Observed:
     """Read a motion and its loads, and give it derivatives."""
     where, derivatives = name_of(task.motion), task.derivatives
+    solver = scene.inverse_dynamics()
     with about("--cutoff"):
         tuning = Tuning(cutoff=derivatives.causal_cutoff)
-        solver = scene.inverse_dynamics()
         estimator = TorqueEstimator(scene.robot, solver, tuning)
     recording = read_recording(scene, task, estimator.names, solver.needed, say)
     motion = recording.motion

@@ -4,6 +4,8 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
@@ -110,3 +112,24 @@ def _check_apart(found: Sequence[Attachment]) -> None:
                     f"loads {one.name} and {other.name} share {shared} nodes; give them sets or "
                     "radii that do not"
                 )
+
+
+def check_tied(mesh: Mesh, attachments: Sequence[Attachment], support: str) -> None:
+    """Refuse solids that nothing ties to the nodes of the support: they would fly away.
+
+    Raises:
+        DataError: Names a node of one.
+    """
+    groups = [cells for _, cells in mesh.blocks] + [one.nodes[None] for one in attachments]
+    pairs = [(np.repeat(c[:, 0], c.shape[1] - 1), c[:, 1:].ravel()) for c in groups]
+    i, j = (np.concatenate(ends) for ends in zip(*pairs, strict=True))
+    n = len(mesh.points)
+    _, part = connected_components(coo_array((np.ones(len(i)), (i, j)), (n, n)), directed=False)
+    held = next(one.nodes[0] for one in attachments if one.name == support)
+    loose = np.flatnonzero(part != part[held])
+    if len(loose):
+        place = ", ".join(f"{value:.4g}" for value in mesh.points[loose[0]])
+        raise DataError(
+            f"{mesh.name}: {len(loose)} nodes, as that at {place} m of the body, share no element "
+            f"with what {support} holds; solids that touch must share nodes"
+        )

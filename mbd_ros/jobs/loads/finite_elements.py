@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import replacing
 from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.loads.attachments import COUPLINGS, attachments_of
+from mbd_ros.jobs.loads.attachments import COUPLINGS, Attachment, attachments_of, check_tied
 from mbd_ros.jobs.loads.elements import mass_of
 from mbd_ros.jobs.loads.history import History
 from mbd_ros.jobs.loads.instants import Instant
@@ -66,10 +66,8 @@ def body_of(
     attach = {name: _metres(word, L) for name, word in task.attach.items()}
     radius = None if task.radius is None else task.radius / L
     attachments = attachments_of(history, mesh, attach, radius)
-    names = [one.name for one in attachments]
-    support = task.support or (names[0] if names else "")
-    if support not in names:
-        raise DataError(f"--support {support}: no such load; accepted: {', '.join(names)}")
+    support = _support(history, attachments, task.support)
+    check_tied(mesh, attachments, support)
     rows = tuple(sorted({each.row for each in instants}))
     labels = tuple(", ".join(i.name for i in instants if i.row == row) for row in rows)
     body = Body(
@@ -78,6 +76,16 @@ def body_of(
     )
     steps = [step_of(body, i) for i in range(len(rows))]
     return body, steps, check_steps(body, steps)
+
+
+def _support(history: History, attachments: Sequence[Attachment], given: str | None) -> str:
+    """Name of the load whose nodes are held."""
+    names = [one.name for one in attachments]
+    if not names:
+        raise DataError(f"{history.body}: no load acts on it that could hold a mesh")
+    if given is not None and given not in names:
+        raise DataError(f"--support {given}: no such load; accepted: {', '.join(names)}")
+    return given or names[0]
 
 
 def write_body(
