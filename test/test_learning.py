@@ -6,7 +6,7 @@ import pytest
 import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.jobs.learn.model_folder import read_folder
+from mbd_ros.jobs.learn.model_folder import read_folder, write_folder
 
 pytest.importorskip("torch", reason="torch is optional and large (extra: learn)")
 pytest.importorskip("onnx", reason="onnx is optional (extra: learn)")
@@ -150,6 +150,40 @@ def test_noise_is_not_learned(tmp_path):
     assert not found.model.trust.any()
     assert found.errors["learned"] == found.errors["physics"]
     assert any("it gives 0" in line for line in found.remarks)
+
+
+def test_errors_are_those_of_the_model_that_is_written(tmp_path):
+    """It fades where running leaves the range of walking, and so do the errors that are said."""
+    random, leg = np.random.default_rng(6), mbd.load_scene(LEG)
+    tables = [stride(random, kind, noise=0.0)["samples"] for kind in (WALK, WALK, RUN)]
+    columns = []
+    for column in tables[0].columns:
+        values = [table[column.name] for table in tables]
+        if column.name == "time":
+            values = [one + 10.0 * i for i, one in enumerate(values)]
+        columns.append(column._replace(values=np.concatenate(values)))
+    recording = mbd.Result({"samples": mbd.Table(columns)})
+    found = leg.learn(recording, physics="given", learned=0.6, members=2, steps=40)
+    write_folder(tmp_path, found, {}, lambda line: None)
+    said = [error(tmp_path, [mbd.Result({"samples": tables[2]})]), found.errors["learned"]]
+    assert said[0] == pytest.approx(said[1], rel=1e-9)
+    assert found.model.trust.max() > 0.0 and said[1] != pytest.approx(found.errors["physics"])
+
+
+def test_the_comparison_of_a_slow_recording(tmp_path):
+    """30 Hz: half a second is too little and left out, a second keeps its ends."""
+    leg, t = mbd.load_scene(LEG), np.arange(0.0, 6.0, 1.0 / 30.0)
+    columns = [mbd.Column("time", t, "s")]
+    for i, name in enumerate(leg.couplings.independent):
+        angle = 0.3 * np.sin((2.0 + i) * t) - 0.4 * (name == "knee")
+        columns.append(mbd.Column(f"{name}.position", angle, "rad"))
+    motion = mbd.Result({"samples": mbd.Table(columns)})
+    leg.inverse(motion, derivatives="zero-phase").to(tmp_path / "slow.csv")
+    words = ["learn", LEG, str(tmp_path / "slow.csv"), "--derivatives", "zero-phase"]
+    words += ["--compare", "--seeds", "1", "--steps", "2", "--members", "2"]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 0
+    rows = (tmp_path / "out" / "comparison.csv").read_text().splitlines()[1:]
+    assert sorted({float(row.split(",")[1]) for row in rows})[:3] == [1.0, 2.0, 3.0]
 
 
 GIVEN = ["--physics", "given"]
