@@ -11,6 +11,7 @@ from mbd_ros.cli import main
 from mbd_ros.controllers.computed_torque import ComputedTorque
 from mbd_ros.core.control.contract import ControlledJoints, EffortBox, Reference
 from mbd_ros.core.learned.model_file import SUM, ZEROS, About, numbers_of, signed
+from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.jobs.learn.curves import CURVES
@@ -338,9 +339,24 @@ def test_corrections_of_friction_hold_everywhere(folder):
     assert np.allclose(force, [0.0, expected, *np.zeros(5)], atol=1e-12)
 
 
+def test_corrections_of_stiffness_are_springs(folder):
+    """Beside the same springs of the scene itself: torques and energy."""
+    arm, path = mbd.load_scene("arm7"), folder / "sprung.onnx"
+    path.write_bytes(content(arm, half=0.2, trust=0.0, stiffness={"joint4": [12.0, 0.4]}))
+    spring = {"type": "joint_spring", "joint": "joint4", "stiffness": 12.0, "rest": 0.4}
+    (learned,), (true,) = with_model("arm7", path).forces, arm.with_(forces=[spring]).forces
+    (q,), (v,) = states(7, 1)
+    x, k = State(0.0, q, v), Kinematics(arm.robot)
+    k.refresh(q, v)
+    exerted, expected = (part.force(k, x, NONE) for part in (learned, true))
+    assert np.abs(expected).max() > 1.0 and np.allclose(exerted, expected, atol=1e-12)
+    assert learned.potential(k, x) == pytest.approx(true.potential(k, x))
+
+
 @pytest.mark.parametrize(
     ("more", "message"),
     [
+        ({"stiffness": {"joint2": [1.0]}}, "not stiffness and rest"),
         ({"bodies": {"nosuch": [0.0] * 10}}, "no body 'nosuch'"),
         ({"bodies": {"link3": [0.0] * 9}}, "'link3' has 9 numbers, not 10"),
         ({"friction": {"joint2": [0.0, 0.0, 1.0, 0.0]}}, "not offset, viscous and curves"),

@@ -1,4 +1,4 @@
-"""Corrections of inertias and friction from few samples, and when they are worth it; no torch."""
+"""Corrections of inertias, friction and stiffness from few samples, without torch."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ NOISE = 0.6  # N·m
 
 
 def true_leg():
-    """The leg with sharp friction and with 0.8 kg on its foot, which no description knows."""
+    """The leg with sharp friction, a spring and 0.8 kg on its foot, which no description knows."""
     leg = mbd.load_scene(LEG)
     one = leg.robot.inertias()["foot"]
     heavy = (one.mass + 0.8, [0.03, 0.0, -0.05], np.array(one.inertia) + 0.004 * np.eye(3))
@@ -26,7 +26,8 @@ def true_leg():
         {"type": "gear_friction", "joint": j, "coulomb": c, "viscous": d, "smoothing": 0.02}
         for j, c, d in pairs
     ]
-    return leg.with_inertias({"foot": heavy}).with_(forces=rubbing)
+    spring = {"type": "joint_spring", "joint": "ankle", "stiffness": 25.0}
+    return leg.with_inertias({"foot": heavy}).with_(forces=[*rubbing, spring])
 
 
 def recorded(true, kind, strides, rate, random=None):
@@ -56,7 +57,7 @@ def samples_of(scene, result):
 
 
 @pytest.mark.parametrize("rate", [100, 500])
-def test_a_payload_and_friction_from_a_trial(rate):
+def test_a_payload_friction_and_a_spring_from_a_trial(rate):
     """As fine as the noise lets, at 500 Hz as well: a low-pass of efforts rounds dry friction."""
     true, leg, random = true_leg(), mbd.load_scene(LEG), np.random.default_rng(4)
     walk, run = (

@@ -25,8 +25,9 @@ class LearnedTorque(Load):
 
     The network is a file of `mbd-ros learn` and belongs to the robot that it was learned on. M is
     there in structured models only. s is 1 where the network has learned and fades to 0 outside of
-    that box of positions and velocities. c are corrections of inertias and friction, which adapted
-    models have; they hold everywhere, as physics does. It knows nothing of temperature or wear.
+    that box of positions and velocities. c are corrections of inertias, friction and stiffness,
+    which adapted models have; they hold everywhere, as physics does. It knows nothing of
+    temperature or wear.
 
     Args:
         robot: Robot of the scene.
@@ -63,7 +64,7 @@ class LearnedTorque(Load):
         self._places = TrainingRange(said.low[:m], said.high[:m], fade)
         self._session = _session(model, said)
         self._has_matrix = said.kind == "structured"
-        self._corrections = Corrections(robot, said.bodies, said.friction)
+        self._corrections = Corrections(robot, said.bodies, said.friction, said.stiffness)
         self.has_inertia = self._has_matrix or self._corrections.has_inertia
         self._titles = [
             *(f"position of {name}" for name in said.joints),

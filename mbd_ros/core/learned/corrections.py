@@ -1,12 +1,13 @@
-"""Corrections of inertias and friction: what was learned of a robot that is linear in its numbers.
+"""Corrections of inertias, friction and stiffness: what was learned that is linear in its numbers.
 
-    tau = Y(q, v, a) p + sum_k c_k tanh(v / v_k) + d v + offset
+    tau = Y(q, v, a) p + sum_k c_k tanh(v / v_k) + d v + offset + k (q - q0)
 
 with Y the regressor of inverse dynamics, so that p are ten numbers of each body that come on top
 of its own. They need not be those of a body by themselves.
 """
 
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -16,6 +17,8 @@ from mbd_ros.core.identification.inertial_parameters import COUNT, moving_bodies
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
+
+_NONE: Mapping[str, Sequence[float]] = MappingProxyType({})
 
 
 class Corrections:
@@ -29,6 +32,7 @@ class Corrections:
         bodies: Body -> ten numbers that are added to its own.
         friction: Joint -> offset [N·m], viscous [N·m·s/rad], then a torque [N·m] and the velocity
             [rad/s] at which it has 76 % of its size, for each curve.
+        stiffness: Joint -> k [N·m/rad] and q0 [rad].
 
     Raises:
         ModelError: A body or joint that the robot does not have, or numbers of another form.
@@ -39,7 +43,9 @@ class Corrections:
         robot: Robot,
         bodies: Mapping[str, Sequence[float]],
         friction: Mapping[str, Sequence[float]],
+        stiffness: Mapping[str, Sequence[float]] = _NONE,
     ) -> None:
+        self._springs = _springs(robot, stiffness)
         self.has_inertia, self._nv = bool(bodies), int(robot.model.nv)
         self._pairs = _pairs(robot, bodies) if bodies else ()
         self._rest = np.zeros(self._nv)
@@ -64,6 +70,8 @@ class Corrections:
             rate = v[self._at]
             dry = (self._size * np.tanh(rate[:, None] / self._bend)).sum(axis=1)
             tau[self._at] += dry + self._viscous * rate + self._offset
+        for at_q, at_v, k, rest in self._springs:
+            tau[at_v] += k * (q[at_q] - rest)
         return tau
 
     def inertia(self, q: Array) -> Array:
@@ -73,11 +81,22 @@ class Corrections:
         return np.asarray(upper + np.triu(upper, 1).T)
 
     def potential(self, q: Array) -> float:
-        """Energy of the corrections in gravity [J]."""
+        """Energy of the corrections in gravity and of springs [J]."""
+        found = sum(0.5 * k * (q[at] - rest) ** 2 for at, _, k, rest in self._springs)
         if not self.has_inertia:
-            return 0.0
+            return float(found)
         heavy, light = (float(pin.computePotentialEnergy(*pair, q)) for pair in self._pairs)
-        return heavy - light
+        return float(found + heavy - light)
+
+
+def _springs(
+    robot: Robot, stiffness: Mapping[str, Sequence[float]]
+) -> list[tuple[int, int, float, float]]:
+    """Places in q and v, stiffness and rest of each spring."""
+    if any(len(values) != 2 for values in stiffness.values()):
+        raise ModelError("the corrections of stiffness are not stiffness and rest")
+    joints = ((robot.joint(name), values) for name, values in stiffness.items())
+    return [(joint.q, joint.v, float(k), float(rest)) for joint, (k, rest) in joints]
 
 
 def _pairs(robot: Robot, bodies: Mapping[str, Sequence[float]]) -> tuple[tuple[Any, Any], ...]:

@@ -22,7 +22,7 @@ ABOUT, SUM = "mbd_ros", "mbd_ros.sha256"  # keys of the metadata
 ZEROS = "0" * 64
 LARGEST = 64_000_000  # bytes
 _SAME = 1.0e-6  # of the largest number of a body: what writing and reading a description leaves
-_TABLES = ("robot", "physics", "bodies", "friction", "given")
+_TABLES = ("robot", "physics", "bodies", "friction", "stiffness", "given")
 _NONE: Mapping[str, Sequence[float]] = MappingProxyType({})
 _VALUE = b"\x12\x40"  # protobuf: field 2, 64 bytes
 
@@ -53,6 +53,7 @@ class About(NamedTuple):
             nobody wrote it down.
         bodies: Corrections of inertias, as `Corrections` takes them.
         friction: Corrections of friction, as `Corrections` takes them.
+        stiffness: Corrections of stiffness, as `Corrections` takes them.
         given: Numbers of the robot before it was identified; nothing where it was not.
     """
 
@@ -65,6 +66,7 @@ class About(NamedTuple):
     physics: Mapping[str, Sequence[float]] = _NONE
     bodies: Mapping[str, Sequence[float]] = _NONE
     friction: Mapping[str, Sequence[float]] = _NONE
+    stiffness: Mapping[str, Sequence[float]] = _NONE
     given: Mapping[str, Sequence[float]] = _NONE
 
     def text(self) -> str:
@@ -134,14 +136,13 @@ def about_of(name: str, found: dict[str, Any]) -> About:
         made = About(**found)
         low, high = (np.array(one, dtype=np.float64) for one in (made.low, made.high))
         joints = tuple(map(str, made.joints))
-        robot, physics, bodies, friction, given = (_table(getattr(made, k)) for k in _TABLES)
+        tables: dict[str, Any] = {key: _table(getattr(made, key)) for key in _TABLES}
     except (TypeError, ValueError, AttributeError) as error:
         raise ModelError(f"{name} does not say what it belongs to: {error}") from error
     is_whole = low.shape == high.shape == (2 * len(joints),) and np.isfinite([low, high]).all()
     if not (is_whole and (low < high).all()):
         raise ModelError(f"{name}: its range is none")
-    made = made._replace(low=low, high=high, joints=joints, robot=robot)
-    return made._replace(physics=physics, bodies=bodies, friction=friction, given=given)
+    return made._replace(low=low, high=high, joints=joints, **tables)
 
 
 def _table(given: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:

@@ -1,8 +1,8 @@
 """A trained model and few trials of something new: what changes, and what stays.
 
-Adapters are corrections of inertias and friction, and matrices of low rank beside the weights of
-the network. Corrections come first, from what was learned from before and from the new trials;
-the network stays where it predicts blocks of the new trials better than they do alone.
+Adapters are corrections of inertias, friction and stiffness, and matrices of low rank beside the
+weights of the network. Corrections come first, from what was learned from before and from the
+new trials; the network stays where it predicts blocks of the new trials better than they do alone.
 """
 
 from typing import Any, NamedTuple

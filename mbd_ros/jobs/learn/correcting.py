@@ -1,4 +1,4 @@
-"""Corrections of inertias and friction from few samples: adapters that are linear in torque.
+"""Corrections of inertias, friction and stiffness: adapters that are linear in torque.
 
 Of everything that a model has learned from, the triangle of a QR factorisation is kept: that is
 all that samples say of linear numbers. New samples are put below it. The prior of each number is
@@ -50,7 +50,7 @@ class Known(NamedTuple):
 
 
 class Columns:
-    """Columns of base parameters and friction, of the joints of a model.
+    """Columns of base parameters, friction and stiffness, of the joints of a model.
 
     Args:
         scene: The scene.
@@ -73,11 +73,12 @@ class Columns:
         inertial = self._regressor.rows(samples.y, samples.w, samples.push)
         curves = curves_of(samples.v, self._scales, FINE_CURVES)
         n, m, size = curves.shape
-        rubbing = np.zeros((n, m, m, size + 1))
+        own = np.zeros((n, m, m, size + 2))  # of each joint: curves, stiffness, offset
         for j in range(m):
-            rubbing[:, j, j, :size], rubbing[:, j, j, size] = curves[:, j], 1.0
+            own[:, j, j, :size], own[:, j, j, size + 1] = curves[:, j], 1.0
+            own[:, j, j, size] = samples.q[:, j] - self._scales.centre[j]
         rows = inertial[:, self._mine][:, :, self._chosen]
-        return np.concatenate([rows, rubbing.reshape(n, m, -1)], axis=2)
+        return np.concatenate([rows, own.reshape(n, m, -1)], axis=2)
 
     def torque(self, samples: Samples, numbers: Array) -> Array:
         """Torque of the numbers [N·m or N], shape (n, m)."""
@@ -87,7 +88,7 @@ class Columns:
 
     def none(self) -> Array:
         """Numbers that change nothing, shape (p,)."""
-        return np.zeros(len(self._chosen) + len(self._joints) * (len(FINE_CURVES) + 2))
+        return np.zeros(len(self._chosen) + len(self._joints) * (len(FINE_CURVES) + 3))
 
     def known(self, samples: Samples, said: Array) -> Known:
         """What samples say, with efforts as measured: a low-pass would round dry friction.
@@ -116,13 +117,14 @@ class Columns:
         inertial[self._chosen] = numbers[:r]
         ten = inertial.reshape(-1, COUNT)
         bodies = {name: ten[i].tolist() for i, name in enumerate(self._bodies) if ten[i].any()}
-        friction = {}
-        for j, own in enumerate(numbers[r:].reshape(m, len(FINE_CURVES) + 2)):
+        friction, springs = {}, {}
+        for j, own in enumerate(numbers[r:].reshape(m, len(FINE_CURVES) + 3)):
             bends = self._scales.v[j] * np.array(FINE_CURVES)
             pairs = np.column_stack([own[: len(FINE_CURVES)], bends]).ravel()
             viscous = own[len(FINE_CURVES)] / self._scales.v[j]
             friction[self._joints[j]] = [float(own[-1]), float(viscous), *pairs.tolist()]
-        return said._replace(bodies=bodies, friction=friction)
+            springs[self._joints[j]] = [float(own[-2]), float(self._scales.centre[j])]
+        return said._replace(bodies=bodies, friction=friction, stiffness=springs)
 
     def possible(self, numbers: Array) -> Array:
         """The same numbers, inertias drawn to 0 until every motion has inertia."""

@@ -94,7 +94,7 @@ def run_learn(scene: Scene, task: Task, say: Say) -> Outcome:
 def _say_what_acts(model: Learned, say: Say) -> None:
     """Which joints have a network that gives something, and whether numbers are corrected."""
     if model.numbers.any():
-        say("adapters: inertias and friction are corrected")
+        say("adapters: inertias, friction and stiffness are corrected")
         if not model.trust.any():
             say("the network adds nothing that holds to that; it gives 0")
             return

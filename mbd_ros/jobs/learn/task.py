@@ -92,7 +92,7 @@ class Learned(NamedTuple):
         weights: Members first, as in `network`.
         trust: Share of the torque of each joint that is given, shape (m,).
         known: What was learned from says of linear numbers.
-        numbers: Corrections of inertias and friction, shape (p,).
+        numbers: Corrections of inertias, friction and stiffness, shape (p,).
     """
 
     about: About
