@@ -15,11 +15,14 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # what shells do to backg
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
 SCREENSHOTS = Path(__file__).parents[1] / "build" / "screenshots"
 
+gc.disable()  # thousands of tests are made and kept: looking for garbage among them takes longer
+
 
 def pytest_collection_finish():
     """What is loaded by now is no garbage: tests that collect garbage need not look at it."""
     gc.collect()
     gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(scope="session", autouse=True)
