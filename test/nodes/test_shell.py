@@ -197,11 +197,12 @@ def test_signals(start_node, probe, executor, number):
     probe.wait_health(is_active)
     safe = collect(probe, String, "/minimal/safe")
     probe.spin_for(0.3)
+    held_up = node.held_up()
     node.process.send_signal(number)
     sent = time.monotonic()
     node.process.send_signal(number)  # a terminal and launch both send it
     probe.spin_until(lambda: safe)
-    assert time.monotonic() - sent < 0.2
+    assert time.monotonic() - sent < 0.2 + node.held_up() - held_up
     assert node.wait() == 0
     probe.spin_until(lambda: probe.health[-1].message == "stopped")
     assert "Traceback" not in node.log
@@ -261,9 +262,9 @@ def test_diagnostics_at_1_hz_under_a_clock_that_never_starts(start_node, probe):
     """Fault 17: no busy loop, and the node still speaks."""
     node = start_node(yaml(use_sim_time="true"))
     probe.wait_health(is_active)
-    before, busy = len(probe.health), node.cpu_seconds()
+    before, busy, begin = len(probe.health), node.cpu_seconds(), time.monotonic()
     probe.spin_for(3.0)
-    assert 2 <= len(probe.health) - before <= 4
+    assert 2 <= len(probe.health) - before <= time.monotonic() - begin + 1.0
     assert node.cpu_seconds() - busy < 0.15  # of 3 s: 10 wake-ups per second and diagnostics
     last = probe.health[-1]
     assert (last.name, last.level, last.message) == ("/minimal", OK, "fine")
