@@ -71,8 +71,10 @@ def shown_at(tab, frame, share):
     """The canvas after a click on the slider, there along it."""
     slider = frame.locator(".mantine-Slider-root").first
     box = slider.bounding_box()
+    before = frame.evaluate("window.images")
     slider.click(position={"x": share * box["width"], "y": box["height"] / 2})
     tab.wait_for_timeout(400)
+    drawn(tab, frame, before + 3)  # a busy machine has drawn none by then
     return image_of(frame)
 
 
