@@ -267,6 +267,14 @@ def test_a_contradiction_is_refused(name):
         cart_pole().predict(SWING_UP | more)
 
 
+def test_a_loop_may_say_the_same_twice():
+    """A plane four-bar that is closed in space: the row across the plane is no row at all."""
+    scene, task, cost = four_bar()
+    (closure,) = scene.entries["constraints"]
+    whole = scene.with_(constraints=[dict(closure) | {"kind": "revolute", "directions": "xyz"}])
+    assert whole.predict(task).metadata["cost"] == pytest.approx(cost, rel=1.0e-8)
+
+
 def test_a_loop_that_cannot_close_is_named():
     scene, task, _ = four_bar()
     with pytest.raises(NotConvergedError, match="closure of loops"):

@@ -9,7 +9,7 @@ from prediction_scenes import EFFORT, drives, joint, link, urdf
 
 import mbd_ros as mbd
 from mbd_ros.core.state import State
-from mbd_ros.errors import NotConvergedError, SceneError, SolveError
+from mbd_ros.errors import NotConvergedError, SceneError
 from mbd_ros.scene.locate import find_task
 
 HOLDS = {"stance": {"contacts": ["sole"], "until": {"late": {"time": 10.0}}, "then": "stance"}}
@@ -69,22 +69,98 @@ def test_a_ground_that_is_too_slippery_is_named():
         standing("0.6 0.8 0", 0.1).predict(task)
 
 
-def test_a_foot_on_several_points_is_refused():
-    """Its multipliers are not determined: what points share among them is nobody's equation."""
-    scene = standing("1 0 0", points=((0.0, -0.1, 0.0), (0.0, 0.1, 0.0)))
-    task = {"duration": 1.0, "end": {"slide.position": 0.1}, "goals": EFFORT}
-    with pytest.raises(SceneError, match="sole is held at several points.*accepted: one point"):
-        scene.predict(task)
+@pytest.mark.parametrize("across", [(0.0,), (-0.1, 0.1)])
+def test_a_foot_on_several_points_is_as_one_on_one_point(across):
+    """Where nothing tips it: its points share friction as they like, and no row is said twice."""
+    task = {"duration": 0.72, "goals": EFFORT, "tolerance": 1.0e-4}
+    task["end"] = {"slide.position": 0.4, "slide.velocity": 0.0}
+    one = standing("0.6 0.8 0", 0.3).predict(task)
+    points = [(along, y, 0.0) for along in (-0.1, 0.2) for y in across]
+    several = standing("0.6 0.8 0", 0.3, points).predict(task)
+    assert several.metadata["cost"] == pytest.approx(one.metadata["cost"], rel=1.0e-8)
+    assert "friction cone of sole" in [name for name, *_ in several.metadata["active"]]
+
+
+def leaning(**soles):
+    """A body of 10 kg that an ankle holds over a foot with a heel and a toe, in a plane."""
+    robot = urdf(
+        link("rail", 0.001),
+        link("post", 0.001),
+        link("foot", 1.0, "0.05 0 0.02", 0.01),
+        link("body", 10.0, "0 0 0.8", 1.0),
+        joint("x", "prismatic", "ground", "rail", "1 0 0"),
+        joint("z", "prismatic", "rail", "post", "0 0 1"),
+        joint("pitch", "continuous", "post", "foot", "0 1 0"),
+        joint("ankle", "continuous", "foot", "body", "0 1 0", "0 0 0.05"),
+    )
+    ground = {"half_space": [0, 0, 1]}
+    contacts = [
+        {"name": name, "type": "rigid", "between": [{"frame": "foot", "points": points}, ground]}
+        | {"friction": 0.8}
+        for name, points in soles.items()
+    ]
+    sections = {"contacts": contacts, "actuators": drives("ankle")}
+    sections["phases"] = {"stance": HOLDS["stance"] | {"contacts": list(soles)}}
+    return mbd.scene_from(sections | {"initial": {"position": {"ankle": -0.1}}}, urdf=robot)
+
+
+def test_a_foot_does_not_tip():
+    """One contact with its centre of pressure, and two that push, whose friction is shared."""
+    heel, toe = [[-0.1, 0.0, 0.0]], [[0.2, 0.0, 0.0]]
+    task = {"duration": 1.0, "goals": EFFORT, "tolerance": 1.0e-5}
+    task["end"] = {"ankle.position": 0.1, "ankle.velocity": 0.0}
+    flat, two = (
+        one.predict(task) for one in (leaning(sole=heel + toe), leaning(heel=heel, toe=toe))
+    )
+    assert flat.metadata["cost"] == pytest.approx(two.metadata["cost"], rel=1.0e-8)
+    assert flat.metadata["active"][0][0] == "centre of pressure of sole"
+    assert {name for name, *_ in two.metadata["active"]} == {
+        "normal force of heel",
+        "normal force of toe",
+    }
+
+
+def landing(*, turns):
+    """A body on a spring-less leg falls on a flat foot, which may turn or not."""
+    turning = joint("pitch", "continuous" if turns else "fixed", "post", "foot", "0 1 0")
+    robot = urdf(
+        link("rail", 0.001),
+        link("post", 0.001),
+        link("foot", 1.0, "0 0 0.02", 0.01),
+        link("body", 2.0, "0.01 0 0", 0.01),
+        joint("x", "prismatic", "ground", "rail", "1 0 0"),
+        joint("z", "prismatic", "rail", "post", "0 0 1"),
+        turning,
+        joint("leg", "prismatic", "foot", "body", "0.1 0 1", "0 0 0.3"),
+    )
+    points = [[-0.1, 0.0, 0.0], [0.15, 0.0, 0.0]] if turns else [[0.0, 0.0, 0.0]]
+    between = [{"frame": "foot" if turns else "post", "points": points}, {"half_space": [0, 0, 1]}]
+    sole = {"name": "sole", "type": "rigid", "between": between, "friction": 0.8}
+    flight = {"contacts": [], "until": {"down": {"touch_down": "sole"}}, "then": "stance"}
+    stance = {"contacts": ["sole"], "until": {"late": {"time": 9.0}}, "then": "flight"}
+    sections = {"contacts": [sole], "phases": {"flight": flight, "stance": stance}}
+    sections |= {"actuators": drives("leg"), "initial": {"position": {"z": 0.1}}}
+    return mbd.scene_from(sections, urdf=robot)
+
+
+def test_a_flat_foot_strikes():
+    """The impact at heel and toe is that of a foot that cannot turn, on one point."""
+    free = {"phase": "flight", "duration": [0.05, 0.5], "bounds": {"leg.effort": 0.0}}
+    held = {"phase": "stance", "duration": 0.4, "end": {"leg.position": 0.0, "leg.velocity": 0.0}}
+    task = {"phases": [free, held], "goals": EFFORT, "mesh": {"intervals": 3}}
+    flat, point = (landing(turns=turns).predict(task).metadata for turns in (True, False))
+    assert flat["cost"] == pytest.approx(point["cost"], rel=1.0e-8)
+    assert flat["duration"][0] == pytest.approx(np.sqrt(2.0 * 0.1 / 9.81), rel=1.0e-8)
 
 
 def test_contacts_that_hold_the_same_are_named():
-    """Heel and toe: each of them keeps the foot from sliding."""
+    """Heel and toe of a foot that cannot turn: which of them carries the load is open."""
     scene = standing("1 0 0")
     sole = scene.entries["contacts"][0]
     two = [dict(sole) | {"name": name} for name in ("heel", "toe")]
     phases = {"stance": HOLDS["stance"] | {"contacts": ["heel", "toe"]}}
     task = {"duration": 1.0, "end": {"slide.position": 0.1}, "goals": EFFORT}
-    with pytest.raises(SolveError, match="depend on each other.*heel.normal.*toe.normal"):
+    with pytest.raises(SceneError, match="heel hold the same.*accepted: one contact with several"):
         scene.with_(contacts=two, phases=phases).predict(task)
 
 

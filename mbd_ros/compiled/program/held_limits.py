@@ -18,9 +18,15 @@ import pinocchio as pin
 
 from mbd_ros.compiled.program.phase_equations import PhaseEquations
 from mbd_ros.compiled.program.quantities import Quantity, multiplier_names
+from mbd_ros.compiled.program.shared_limits import (
+    edges_of,
+    is_determined,
+    joined,
+    rows_of,
+    undetermined,
+)
 from mbd_ros.core.events.crossings import ConeRoom, Crossing, Footing, Force
 from mbd_ros.core.prediction.problem import Range
-from mbd_ros.errors import ModelError
 
 _PUSHES: Range = (0.0, math.inf)
 _APEX = 1.0e-4  # of the weight
@@ -56,20 +62,23 @@ def held_limits(
         used: Share of the friction that may be used.
 
     Raises:
-        ModelError: A contact with several points, whose multipliers are not determined.
+        ModelError: Contacts whose forces are not determined.
     """
     found: Limits = []
+    cones = [(one.contact, one.crossing) for one in kept if isinstance(one.crossing, ConeRoom)]
+    for contact, cone in joined(equations, cones):
+        found += _cone(equations, contact, cone, forces, used)
     for contact, crossing in ((one.contact, one.crossing) for one in kept):
         if isinstance(crossing, Force):
+            if not is_determined(equations, crossing.slots):
+                raise undetermined(contact)
             name = f"normal force of {contact}"
             found.append((Quantity(name, force_of(equations, crossing, forces)), _PUSHES))
-        elif isinstance(crossing, ConeRoom):
-            found += _cone(equations, contact, crossing, forces, used)
         elif isinstance(crossing, Footing):
-            raise ModelError(
-                f"contact {contact} is held at several points, which share its forces in many "
-                "ways; accepted: one point, or a joint that turns about it"
-            )
+            at = rows_of(equations, crossing.normals)
+            for weights in edges_of(equations, crossing):
+                moment = ca.dot(ca.DM(weights), forces[at])
+                found.append((Quantity(f"centre of pressure of {contact}", moment), _PUSHES))
     return found
 
 

@@ -172,7 +172,7 @@ def _struck(striking: PhaseEquations, symbols: Any, after: Any, p: Any) -> Any:
     balance = ca.jtimes(force, own["a"], jump) + ca.jtimes(force, own["l"], p)
     given = [own[key] for key in "tqvz"]
     taken = [symbols["t"], symbols["q"], after, symbols["z"]]
-    rows = ca.vertcat(balance, striking.velocities)
+    rows = ca.vertcat(balance, striking.velocities, p[list(striking.dependence.rows)])
     return ca.substitute([rows], given, taken)[0]
 
 

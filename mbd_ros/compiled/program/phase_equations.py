@@ -17,6 +17,7 @@ from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.implicit import residual
 from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.scalar import column, scalars
+from mbd_ros.core.prediction.dependence import NO_DEPENDENCE, Dependence
 from mbd_ros.core.prediction.unknowns import Sizes
 from mbd_ros.core.row_laws import Level
 from mbd_ros.core.state import Array
@@ -31,21 +32,22 @@ class PhaseEquations:
 
     Args:
         equations: Of the system.
+        dependence: Of its rows; multipliers of dependent ones are zero.
 
     Attributes:
-        equations: As given.
+        equations: As given, as `dependence`.
         symbols: Letter -> column: t, p and `LETTERS`.
         sizes: Of the system.
     """
 
-    def __init__(self, equations: Equations) -> None:
-        self.equations, e = equations, equations
+    def __init__(self, equations: Equations, dependence: Dependence = NO_DEPENDENCE) -> None:
+        self.equations, self.dependence, e = equations, dependence, equations
         self.symbols = {key: e.symbols[key] for key in "tpqvzual"}
         self.symbols["w"] = ca.SX.sym("w", e.nz)
-        m = len(e.acting.J)
         joints = e.system.chart.model.joints
         bases = tuple((int(j.idx_q), int(j.idx_v)) for j in joints if j.nq == _BASE_Q)
-        self.sizes = Sizes(e.nq, e.nv, e.nz, e.nu, m, len(self._closing.g), bases)
+        counts = (len(one.g) for one in (e.acting, self._closing, self._kept))
+        self.sizes = Sizes(e.nq, e.nv, e.nz, e.nu, *counts, bases)
 
     @cached_property
     def residual(self) -> Any:
@@ -62,7 +64,10 @@ class PhaseEquations:
         """The r but for internal states."""
         e = self.equations
         a, lam = (scalars(self.symbols[key]) for key in "al")
-        return residual(e, a, lam, e.dynamics[-1 if e.mh else 0])
+        found = residual(e, a, lam, e.dynamics[-1 if e.mh else 0])
+        for i in self.dependence.rows:
+            found[e.nv + i] = lam[i]
+        return found
 
     @cached_property
     def positions(self) -> Any:
@@ -71,14 +76,19 @@ class PhaseEquations:
 
     @cached_property
     def velocities(self) -> Any:
-        """G' of all rows, or what rows of velocities state, a column of size m."""
-        e = self.equations
-        return ca.vertcat(ca.SX(0, 1), *e.acting.velocities(scalars(self.symbols["v"])))
+        """G' of rows but for dependent ones, or what rows of velocities state, of size mk."""
+        return ca.vertcat(ca.SX(0, 1), *self._kept.velocities(scalars(self.symbols["v"])))
 
     @cached_property
     def jacobians(self) -> tuple[Any, Any]:
-        """J of rows of positions and of all rows, shapes (mg, nv) and (m, nv)."""
-        return self._dense(self._closing), self._dense(self.equations.acting)
+        """J of rows of positions and of all that are kept, shapes (mg, nv) and (mk, nv)."""
+        return self._dense(self._closing), self._dense(self._kept)
+
+    @cached_property
+    def _kept(self) -> Rows:
+        """Rows that depend on no others."""
+        every = range(len(self.equations.acting.g))
+        return self.equations.acting.only([i for i in every if i not in self.dependence.rows])
 
     @cached_property
     def has_pieces(self) -> bool:
@@ -92,7 +102,7 @@ class PhaseEquations:
     @property
     def _closing(self) -> Rows:
         """Rows of positions but for those along which nothing is said, such as tangents."""
-        rows = self.equations.acting.of(Level.POSITION)
+        rows = self._kept.of(Level.POSITION)
         return rows.only([i for i, g in enumerate(rows.g) if not ca.SX(g).is_constant()])
 
     def _dense(self, rows: Rows) -> Any:
@@ -168,14 +178,13 @@ class PhaseEquations:
     def _rows(self) -> Any:
         """(t, q, v, p) -> g and J of rows of positions, g' and J of all rows."""
         given = [self.symbols[key] for key in "tqvp"]
-        of_positions, of_all = self.jacobians
-        results = [self.positions, of_positions, self.velocities, of_all]
+        results = [self.positions, self.jacobians[0], self.velocities, self.jacobians[1]]
         return ca.Function("rows", given, [ca.densify(ca.SX(one)) for one in results])
 
     def rows_at(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, ...]:
         """G and J of rows of positions, then g' and J of all rows, at a state."""
-        g, of_positions, rate, of_all = (_full(one) for one in self._rows(t, q, v, p))
-        return g.ravel(), of_positions, rate.ravel(), of_all
+        g, J, rate, of_all = (_full(one) for one in self._rows(t, q, v, p))
+        return g.ravel(), J, rate.ravel(), of_all
 
     def solved(self, values: Mapping[str, Array], times: Array, p: Array) -> dict[str, Array]:
         """Accelerations, multipliers and rates at states with inputs: letters a, l, w.
@@ -190,8 +199,7 @@ class PhaseEquations:
         except np.linalg.LinAlgError as error:
             names = ", ".join(row.name for row in self.equations.system.multiplier_rows)
             raise SolveError(
-                "rows that hold depend on each other, and no equation tells their forces apart: "
-                f"among {names}; accepted: fewer contacts or constraints at once"
+                f"rows that hold depend on each other at a state of the motion, among {names}"
             ) from error
         nv, m = self.sizes.nv, self.sizes.m
         return {"a": x[:, :nv], "l": x[:, nv : nv + m], "w": x[:, nv + m :]}

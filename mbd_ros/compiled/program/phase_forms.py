@@ -184,7 +184,7 @@ class PhaseForms:
         """G = 0, g' = 0, and shifts along J' of as many multipliers."""
         phase, sizes = self.phase, self.phase.sizes
         shifts = ca.SX.sym("e", 2 * sizes.nv)
-        of_positions, of_all = (ca.SX.sym("k", count) for count in (sizes.mg, sizes.m))
+        of_positions, of_all = (ca.SX.sym("k", count) for count in (sizes.mg, sizes.mk))
         J_of_positions, J_of_all = phase.jacobians
         along = ca.vertcat(J_of_positions.T @ of_positions, J_of_all.T @ of_all)
         rows = ca.vertcat(phase.positions, phase.velocities, shifts - along)

@@ -58,7 +58,7 @@ def usual_sizes(equations: PhaseEquations, motion: PhaseMotion, p: Array, room: 
     }
     forces = _forces(equations, motion, p, of["a"])
     most = float(forces.max(initial=0.0)) or 1.0
-    of["u"] = np.maximum(largest["u"], np.minimum(room, most))
+    of["u"] = np.maximum(largest["u"], np.where(room > 0.0, np.minimum(room, most), most))
     of["l"] = np.maximum(largest["l"], most)
     accelerations = np.full(equations.sizes.m, float(of["a"].max(initial=bend)))
     return Usual(of, np.concatenate((forces, accelerations, of["w"])), T)

@@ -129,11 +129,14 @@ class Footing(NamedTuple):
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
         """As `Crossing.value`."""
+        n = lam[list(self.normals)]
+        return min(float(n.dot(inside)) for inside in self.edges(k))
+
+    def edges(self, k: Kinematics) -> list[Array]:
+        """Distances d_i / d of the points from each edge, shape (n,) each."""
         places = self.contact.pair.places(k)
         away = places.point - places.point.mean(axis=0)
-        flat = away.dot(places.axes[0][:, :2])
-        n = lam[list(self.normals)]
-        return min(float(n.dot(inside)) for inside in _inside(flat))
+        return _inside(away.dot(places.axes[0][:, :2]))
 
 
 def _inside(points: Array) -> list[Array]:

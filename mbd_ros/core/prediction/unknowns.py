@@ -29,7 +29,8 @@ class Sizes(NamedTuple):
         nz: Internal states.
         nu: Inputs.
         m: Rows of accelerations, with a multiplier each.
-        mg: Those of them that state positions.
+        mg: Those of them that state positions, and depend on no others.
+        mk: Those of them that depend on no others.
         bases: Where free bodies stand in q and in v.
     """
 
@@ -39,6 +40,7 @@ class Sizes(NamedTuple):
     nu: int
     m: int = 0
     mg: int = 0
+    mk: int = 0
     bases: tuple[tuple[int, int], ...] = ()
 
 
@@ -58,7 +60,7 @@ class Unknowns:
         steps: Steps in the tangent of free bodies, from the beginning of an interval to its points
             and then to its end, shape (m + n, 6 bodies); points first.
         shifts: What closes rows again at ends of intervals: on q and v, shape (n, 2 nv).
-        pulls: Its multipliers, shape (n, mg + m).
+        pulls: Its multipliers, shape (n, mg + mk).
         begin: Time at which the phase begins.
         duration: Of the phase.
         widths: Shares of the intervals, shape (n,).
@@ -75,7 +77,7 @@ class Unknowns:
         self.steps = self._some(m + n, 6 * len(sizes.bases))
         closed = n if sizes.m else 0
         self.shifts = self._some(closed, 2 * sizes.nv)
-        self.pulls = self._some(closed, sizes.mg + sizes.m)
+        self.pulls = self._some(closed, sizes.mg + sizes.mk)
         self.begin, self.duration = (int(self._some(1, 1)[0, 0]) for _ in range(2))
         self.widths = self._some(n, 1)[:, 0]
 

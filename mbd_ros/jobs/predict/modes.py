@@ -3,11 +3,13 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import numpy as np
+
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.events.phase import Check, Exit
 from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.core.state import Mode, State
+from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.nearest import nearest
@@ -105,13 +107,13 @@ def linkages_of(
     """
     found = list["Linkage"]()
     for i in range(len(phases) - 1):
-        found.append(_linkage(scene, modes, phases, (i, i + 1), (), task.grip))
+        found.append(_linkage(scene, modes, phases, (i, i + 1), (), task))
     is_cyclic = bool(task.periodic or task.symmetric)
     if is_cyclic and modes[-1].phased is not None:
         joints = {joint.name: joint.q for joint in scene.robot.joints}
         travel = [joints[scene.robot.joint(name).name] for name in task.travel]
         ends = len(phases) - 1, 0
-        found.append(_linkage(scene, modes, phases, ends, travel, task.grip))
+        found.append(_linkage(scene, modes, phases, ends, travel, task))
     elif is_cyclic:
         found.append(_equal_ends(task, phases))
     return found
@@ -123,8 +125,9 @@ def _linkage(
     phases: "Sequence[MotionPhase]",
     numbers: tuple[int, int],
     travel: Sequence[int],
-    grip: float,
+    task: PredictTask,
 ) -> Any:
+    from mbd_ros.compiled.program.dependent_rows import independent
     from mbd_ros.compiled.program.linkages import ResetLinkage
     from mbd_ros.compiled.program.phase_equations import PhaseEquations
     from mbd_ros.scene.symbolic_parts import traced
@@ -137,8 +140,14 @@ def _linkage(
     striking, equations = way.reset.striking, None
     if striking is not None:
         names = list(phases[0].equations.equations.parameters)
-        equations = PhaseEquations(traced(scene, striking, names, _mode(striking)).equations)
-    return ResetLinkage(*joined, numbers, way, equations, travel, grip=grip)
+        plain = PhaseEquations(traced(scene, striking, names, _mode(striking)).equations)
+        equations = independent(plain, striking.reduce(scene.initial), middles(task))
+    return ResetLinkage(*joined, numbers, way, equations, travel, grip=task.grip)
+
+
+def middles(task: PredictTask) -> Array:
+    """Values of the unknown numbers with which a motion begins."""
+    return np.array([sum(one) / 2.0 for one in task.parameters.values()])
 
 
 def _exit(phased: PhasedSystem, number: int, following: int) -> Exit:

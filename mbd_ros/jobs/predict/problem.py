@@ -17,7 +17,7 @@ from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.jobs.predict.closed_guess import close
 from mbd_ros.jobs.predict.driving import Driven, driven
 from mbd_ros.jobs.predict.guesses import guesses_of
-from mbd_ros.jobs.predict.modes import PhaseMode, linkages_of, modes_of, started
+from mbd_ros.jobs.predict.modes import PhaseMode, linkages_of, middles, modes_of, started
 from mbd_ros.jobs.predict.recording import Recording, given_inputs, recorded
 from mbd_ros.jobs.predict.references import References
 from mbd_ros.jobs.predict.traceable import traceable
@@ -73,7 +73,7 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
     scene, task, recording = recorded(scene, task)
     scene, task, changes = traceable(scene, task, recording)
     names = list(task.parameters)
-    values = np.array([sum(task.parameters[name]) / 2 for name in names])
+    values = middles(task)
     try:
         modes = modes_of(scene, task)
         first = started(scene, modes[0])
@@ -102,6 +102,7 @@ def _phases(
     first: State,
     recording: Recording | None,
 ) -> "list[MotionPhase]":
+    from mbd_ros.compiled.program.dependent_rows import independent
     from mbd_ros.compiled.program.held_limits import held_limits
     from mbd_ros.compiled.program.motion_phase import MotionPhase
     from mbd_ros.compiled.program.phase_equations import PhaseEquations
@@ -111,7 +112,8 @@ def _phases(
     begin, motion_file = first.t, task.recording.motion if task.recording else None
     references = References(scene, recording, motion_file, begin)
     for i, (mode, asked) in enumerate(zip(modes, task.phases, strict=True)):
-        equations = PhaseEquations(traced(scene, mode.system, names, mode.mode).equations)
+        plain = PhaseEquations(traced(scene, mode.system, names, mode.mode).equations)
+        equations = independent(plain, first, middles(task))
         start = dict(asked.start)
         if i == 0 and not task.start_free:
             start = {**_start_of(scene, mode.system, first, asked.start), **start}
