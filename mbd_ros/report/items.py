@@ -11,6 +11,7 @@ PARTS: Mapping[str, str] = {  # kind of item -> module; their order is that of t
     "precision": "mbd_ros.report.precision.kind",
     "peers": "mbd_ros.report.peers.kind",
     "contact": "mbd_ros.report.contact.kind",
+    "prediction": "mbd_ros.report.prediction.kind",
     "stability": "mbd_ros.report.stability.kind",
     "long_runs": "mbd_ros.report.stability.long_runs",
     "left_out": "mbd_ros.report.left_out.kind",

@@ -178,7 +178,7 @@ def _qp(name: str, count: int) -> dict[str, Any]:
 
 
 def _laws(count: int) -> dict[str, float]:
-    """Median over one bare aba of the 7-joint arm; without effort limits."""
+    """Median over one bare aba of the 7-joint arm; without effort limits, and without plans."""
     scene, joints = mechanism("arm7")
     rng, n, model = np.random.default_rng(2), len(joints), scene.robot.model
     none = EffortBox(np.full(n, -np.inf), np.full(n, np.inf))
@@ -194,6 +194,7 @@ def _laws(count: int) -> dict[str, float]:
     return {
         name: float(np.median(timed(law(joints, **law.example), given))) / aba
         for name, law in laws.items()
+        if not law.files
     }
 
 
