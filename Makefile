@@ -90,7 +90,9 @@ links: venv .venv/docs
 	$(BIN)/python docs/site/build.py build/links linkcheck
 
 soak: venv
-	$(BIN)/python -m pytest -m soak --timeout 0
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "soak and not alone" --timeout 0 --ignore=test/nodes --ignore=test/browser
+	$(BIN)/python -m pytest -m "soak and alone" --timeout 0 --ignore=test/nodes --ignore=test/browser
+	$(BIN)/python -m pytest -m soak --timeout 0 test/nodes test/browser
 
 # CASES=100000 SEED=1 for more, or the same again; two workers do some 10 000 cases a minute.
 fuzz: venv

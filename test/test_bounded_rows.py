@@ -239,6 +239,7 @@ def test_proxqp_along_a_swing_is_never_wrong():
 
 
 @pytest.mark.soak
+@pytest.mark.alone
 def test_proxqp_along_thirty_thousand_evaluations_is_never_wrong_nor_late():
     bounded = swing_through_proxqp(7.6)
     solves, _, damped, failed = bounded.qp.statistics

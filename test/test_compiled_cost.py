@@ -53,12 +53,14 @@ def compiled(scene, folder, monkeypatch):
 
 
 @pytest.mark.soak
+@pytest.mark.alone
 def test_forty_four_bars_are_compiled_in_time(tmp_path, monkeypatch):
     took, memory, how = compiled(SCENES / "a02_four_bars_40.yaml", tmp_path, monkeypatch)
     assert how.startswith("compiled: ") and took <= 15.0 and memory <= 500.0
 
 
 @pytest.mark.soak
+@pytest.mark.alone
 def test_a_hundred_spatial_links_are_compiled_in_time(spatial, tmp_path, monkeypatch):
     took, memory, how = compiled(spatial, tmp_path, monkeypatch)
     assert how.startswith("compiled: ") and took <= 30.0 and memory <= 500.0

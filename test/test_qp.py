@@ -130,6 +130,7 @@ def test_warm_started_solves_along_a_path_are_all_right(seed):
 
 
 @pytest.mark.soak
+@pytest.mark.alone
 def test_thirty_thousand_warm_started_solves():
     gc.disable()  # a collection of what pytest holds takes 10 ms, wherever it happens
     try:
