@@ -271,8 +271,9 @@ def test_a_sample_takes_less_than_a_third_of_a_millisecond(folder, tmp_path, kin
     if kind == "corrected":
         arm, path = mbd.load_scene("arm7"), tmp_path / "corrected.onnx"
         bodies = {name: [1e-3] * 10 for name in numbers_of(arm.robot) if name != "gravity"}
-        friction = {joint.name: [0.1, 0.2, *[1.0, 0.1] * 3] for joint in arm.robot.joints}
-        path.write_bytes(content(arm, "structured", bodies=bodies, friction=friction))
+        friction = {joint.name: [0.1, 0.2, *[1.0, 0.1] * 7] for joint in arm.robot.joints}
+        more = {"friction": friction, "stiffness": {name: [1.0, 0.1] for name in friction}}
+        path.write_bytes(content(arm, "structured", bodies=bodies, **more))
     solver = with_model("arm7", path).inverse_dynamics()
     q, v, a = np.zeros(7), np.full(7, 0.1), np.ones(7)
     rounds = []

@@ -45,7 +45,11 @@ class Corrections:
         friction: Mapping[str, Sequence[float]],
         stiffness: Mapping[str, Sequence[float]] = _NONE,
     ) -> None:
-        self._springs = _springs(robot, stiffness)
+        if any(len(values) != 2 for values in stiffness.values()):
+            raise ModelError("the corrections of stiffness are not stiffness and rest")
+        self._sprung = [robot.joint(name).v for name in stiffness]
+        self._bent = [robot.joint(name).q for name in stiffness]
+        self._k, self._rest_at = np.array([*stiffness.values()]).reshape(-1, 2).T
         self.has_inertia, self._nv = bool(bodies), int(robot.model.nv)
         self._pairs = _pairs(robot, bodies) if bodies else ()
         self._rest = np.zeros(self._nv)
@@ -70,8 +74,8 @@ class Corrections:
             rate = v[self._at]
             dry = (self._size * np.tanh(rate[:, None] / self._bend)).sum(axis=1)
             tau[self._at] += dry + self._viscous * rate + self._offset
-        for at_q, at_v, k, rest in self._springs:
-            tau[at_v] += k * (q[at_q] - rest)
+        if self._sprung:
+            tau[self._sprung] += self._k * (q[self._bent] - self._rest_at)
         return tau
 
     def inertia(self, q: Array) -> Array:
@@ -82,21 +86,11 @@ class Corrections:
 
     def potential(self, q: Array) -> float:
         """Energy of the corrections in gravity and of springs [J]."""
-        found = sum(0.5 * k * (q[at] - rest) ** 2 for at, _, k, rest in self._springs)
+        found = 0.5 * float(self._k @ np.square(q[self._bent] - self._rest_at))
         if not self.has_inertia:
-            return float(found)
+            return found
         heavy, light = (float(pin.computePotentialEnergy(*pair, q)) for pair in self._pairs)
-        return float(found + heavy - light)
-
-
-def _springs(
-    robot: Robot, stiffness: Mapping[str, Sequence[float]]
-) -> list[tuple[int, int, float, float]]:
-    """Places in q and v, stiffness and rest of each spring."""
-    if any(len(values) != 2 for values in stiffness.values()):
-        raise ModelError("the corrections of stiffness are not stiffness and rest")
-    joints = ((robot.joint(name), values) for name, values in stiffness.items())
-    return [(joint.q, joint.v, float(k), float(rest)) for joint, (k, rest) in joints]
+        return found + heavy - light
 
 
 def _pairs(robot: Robot, bodies: Mapping[str, Sequence[float]]) -> tuple[tuple[Any, Any], ...]:
