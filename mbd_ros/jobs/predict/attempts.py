@@ -93,11 +93,14 @@ def _attempts(
     if most <= some or problem.recording is not None:
         yield begin, most, ""
         return
+    given, drifts = (begin, some, "the given guess"), _drifts(problem, task)
+    if not drifts:
+        yield given
     by_itself = passive(problem)
-    every = [] if by_itself is None else [(by_itself, "the motion without inputs")]
-    every.insert(_drifts(problem, task), (begin.guesses, "the given guess"))
-    for guesses, word in every:
-        yield begin._replace(guesses=guesses), some, word
+    if by_itself is not None:
+        yield begin._replace(guesses=by_itself), some, "the motion without inputs"
+    if drifts:
+        yield given
     yield begin, most, "the given guess, for longer"
 
 
