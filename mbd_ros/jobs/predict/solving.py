@@ -25,6 +25,7 @@ if TYPE_CHECKING:
 
 STOPPED = "User_Requested_Stop"
 _LEAST = 1.0e-9  # of the usual size of a cost: less is none
+_CLOSE = 1.0e-2  # error with which a solution beside a recording leads to that of another mesh
 _STAYING, _ALIKE, _NEAR = 40, 1.0e-4, 1.0e-3  # iterations, their costs, their violations
 
 
@@ -120,7 +121,7 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
             for motion, error, look in zip(solution.motions, found.errors, looks, strict=True)
         ]
         size = max(abs(solved.cost), _LEAST * begin.cost_size)
-        near = problem.recording is None
+        near = problem.recording is None or found.worst < _CLOSE
         begin = Beginning(guesses, solution.parameters, solution.links, size, near)
     return found
 
