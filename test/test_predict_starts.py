@@ -40,6 +40,25 @@ def test_starts_on_workers_are_those_of_one_process(tmp_path, capsys):
     assert one.metadata["cost"] == pytest.approx(best, rel=1.0e-7)
 
 
+@pytest.mark.soak
+def test_starts_on_a_cluster_are_those_of_one_process(tmp_path):
+    """Behind the address of a scheduler of Dask with two workers, from the command line."""
+    distributed = pytest.importorskip("distributed", reason="pip install 'mbd_ros[dask]'")
+    (tmp_path / "task.yaml").write_text(TASK)
+    out, words = tmp_path / "here.npz", ["predict", "cart_pole", str(tmp_path / "task.yaml"), "-o"]
+    assert main([*words, str(out)]) == OK
+    found = [read_result(out)]
+    options = {"n_workers": 2, "threads_per_worker": 1, "dashboard_address": ":0"}
+    with distributed.LocalCluster(**options, silence_logs=50) as cluster:
+        out = tmp_path / "there.npz"
+        assert main([*words, str(out), "--scheduler", cluster.scheduler_address]) == OK
+    found.append(read_result(out))
+    for table in ("samples", "starts"):
+        here, there = (one[table] for one in found)
+        for name in here:
+            np.testing.assert_allclose(there[name], here[name], rtol=1.0e-9, err_msg=name)
+
+
 def test_a_scene_that_is_no_file_stays_here():
     scene = mbd.load_scene("cart_pole").with_(dt=2.0e-3)
     task = {"duration": 2.0, "goals": [{"type": "effort"}], "starts": 2}
