@@ -226,6 +226,7 @@ def test_a_hundred_thousand_random_states(name):
 
 
 @pytest.mark.soak
+@pytest.mark.alone
 @each_kind
 @each_mechanism
 def test_a_solve_takes_less_than_a_millisecond_and_ten_times_the_tier_without(name, kind):
