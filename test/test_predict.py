@@ -246,6 +246,9 @@ CONTRADICTORY = {
     "an unknown quantity": ({"end": {"slid.position": 1.0}}, "slide.position"),
     "a time of nothing": ({"duration": 0.0}, "duration: a phase that lasts no time"),
     "no goal": ({"goals": []}, "goals"),
+    "a joint that does not travel": ({"periodic": True, "travel": ["slid"]}, "no joint 'slid'"),
+    "a function without a value": ({"goals": [lambda q: None]}, "function gives None"),
+    "a mass as an unknown": ({"parameters": {"cart.mass": [0.5, 2.0]}}, "(continuation)"),
     "durations beside one of all": ({"phases": [{"duration": 1.0}]}, "predict.duration: phases"),
 }
 

@@ -9,6 +9,7 @@ from mbd_ros.errors import SceneError
 from mbd_ros.scene import schema
 
 FREE = "free"
+_LASTS = "a number above 0, or [shortest, longest]"
 
 
 def duration_of(given: Any, where: str) -> Range:
@@ -20,7 +21,7 @@ def duration_of(given: Any, where: str) -> Range:
             "guard before it lead to the phase after it, with what both reset"
         )
     if not (low >= SMALLEST and high <= LARGEST):
-        raise SceneError(f"{where}: {low:g} .. {high:g} s is out of range, accepted: above 0")
+        raise SceneError(f"{where}: {low:g} .. {high:g} s is out of range, accepted: {_LASTS}")
     return low, high
 
 

@@ -18,6 +18,8 @@ from mbd_ros.scene.part_names import named_entry
 if TYPE_CHECKING:
     from mbd_ros.compiled.symbols.trace import Traced
 
+_OF_LINKS = ("mass", "com", "inertia")
+
 
 def traced(
     scene: Scene,
@@ -56,6 +58,12 @@ def parts_of_symbols(scene: Scene, symbols: Mapping[str, Any]) -> dict[str, Part
     origin, places = changed_origin(scene), places_of(scene)
     entries, changed = dict(scene.entries), dict[Place, str]()
     for key, symbol in symbols.items():
+        link, _, number = key.rpartition(".")
+        if link in scene.robot.inertias() and number in _OF_LINKS:
+            raise SceneError(
+                f"{origin.name}: {key} is no number of a part; accepted: numbers of parts, such "
+                "as <spring>.stiffness, or values of it one after the other (continuation)"
+            )
         place, path = found_place(origin, places, key)
         set_value(entries, place, path, symbol)
         changed.setdefault(place, key)

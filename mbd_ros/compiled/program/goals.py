@@ -122,7 +122,11 @@ def _final(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:
 
 
 def _function(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:
-    value = ca.SX(options["function"](_Named(of)))
+    given = options["function"](_Named(of))
+    try:
+        value = ca.SX(given)
+    except NotImplementedError as error:
+        raise ModelError(f"function gives {given!r}, accepted: one number") from error
     if value.numel() != 1:
         raise ModelError(f"function gives {value.numel()} numbers, accepted: one")
     return Terms(**{options["at"]: weight * value})

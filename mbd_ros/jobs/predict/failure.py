@@ -13,8 +13,9 @@ _SHOWN = 5
 _VIOLATED = 1.0e-6  # in usual sizes
 _SPREAD = 1.0e8  # of usual sizes that look odd
 _ACCEPTED = "more refinements or intervals in mesh, or a larger tolerance"
+_LOCAL = "Infeasible_Problem_Detected"
 _WORDS = {
-    "Infeasible_Problem_Detected": "the conditions cannot hold together",
+    _LOCAL: "the conditions cannot hold together",
     "Maximum_Iterations_Exceeded": "the largest number of iterations was reached",
     STOPPED: "it was interrupted",
     "Restoration_Failed": "no point nearer to the conditions was found",
@@ -39,6 +40,9 @@ def reasons(found: Found, task: PredictTask) -> Iterator[str]:
     yield from violated(found)
     yield from blocking(found)
     yield from odd_sizes(found)
+    yield from kinks(found)
+    if solved.status == _LOCAL and task.starts == 1:
+        yield "  none is near this guess: another guess, or several starts, may lead further"
 
 
 def _not_fine(found: Found, task: PredictTask) -> Iterator[str]:
@@ -84,6 +88,8 @@ def _row(found: Found, number: int, block: Any, row: int, place: int) -> str:
     if block.name == "collocation":
         at = int(block.places[0, place])
         return f"continuity of {_unknown(found, at)}"
+    if block.name == "bodies":
+        return "continuity of the pose of a free body"
     name = phase.row_name(block.name, row)
     if block.name in ("start", "end"):
         return f"{name} at the {block.name}"
@@ -132,3 +138,14 @@ def odd_sizes(found: Found) -> Iterator[str]:
             f"  sizes of unknowns lie between {sizes.min():.1e} and {sizes.max():.1e}: other "
             "units, or a guess nearer to the motion, may help"
         )
+
+
+def kinks(found: Found) -> Iterator[str]:
+    """Goals that are nearly kinks where powers change their signs."""
+    for phase in found.problem.program.phases:
+        for goal in phase.problem.goals:
+            if goal.kind == "power":
+                yield (
+                    f"  goal {goal.name} bends within {goal.options['smoothing']:g} W: a larger "
+                    "smoothing, or a goal effort beside it, is easier"
+                )

@@ -109,9 +109,8 @@ def linkages_of(
     for i in range(len(phases) - 1):
         found.append(_linkage(scene, modes, phases, (i, i + 1), (), task))
     is_cyclic = bool(task.periodic or task.symmetric)
+    travel = [scene.robot.joint(name).q for name in task.travel]
     if is_cyclic and modes[-1].phased is not None:
-        joints = {joint.name: joint.q for joint in scene.robot.joints}
-        travel = [joints[scene.robot.joint(name).name] for name in task.travel]
         ends = len(phases) - 1, 0
         found.append(_linkage(scene, modes, phases, ends, travel, task))
     elif is_cyclic:

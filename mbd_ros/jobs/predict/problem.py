@@ -21,6 +21,7 @@ from mbd_ros.jobs.predict.modes import PhaseMode, linkages_of, middles, modes_of
 from mbd_ros.jobs.predict.recording import Recording, given_inputs, recorded
 from mbd_ros.jobs.predict.references import References
 from mbd_ros.jobs.predict.traceable import traceable
+from mbd_ros.jobs.predict.unit_turns import with_unit_turns
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.coordinate_names import coordinate_names, velocity_names
 from mbd_ros.scene.predict_phases import PhaseTask
@@ -140,7 +141,9 @@ def _problem_of_phase(
     assert asked.duration is not None  # a recording says it, or the task does
     bounds = {**_usual_bounds(scene, asked.bounds), **asked.bounds}
     mesh = uniform_mesh(task.mesh.scheme, _degree(task), _intervals(task, asked.duration))
-    return PhaseProblem(asked.phase, asked.duration, bounds, start, asked.end, asked.goals, mesh)
+    bodies = [base.name for base in scene.robot.bases]
+    start, end = (with_unit_turns(one, bodies) for one in (start, asked.end))
+    return PhaseProblem(asked.phase, asked.duration, bounds, start, end, asked.goals, mesh)
 
 
 def _intervals(task: PredictTask, duration: Range) -> int:
