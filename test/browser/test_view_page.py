@@ -188,9 +188,12 @@ def test_a_camera_falls_with_what_it_follows(browser, serve, tmp_path):
     tab.keyboard.press("Enter")
     after = settled(tab, lambda image: (np.abs(image - before).max(axis=2) > 20).sum() > 500)
     assert (np.abs(after - before).max(axis=2) > 20).sum() > 500  # the ground goes up
-    tab.wait_for_timeout(300)
-    middles = [np.argwhere(red(image)).mean(axis=0) for image in (before, pixels(tab))]
-    assert middles[0] == pytest.approx(middles[1], abs=30)
+
+    def middle(image):
+        return np.argwhere(red(image)).mean(axis=0)
+
+    near = pytest.approx(middle(before), abs=30)
+    assert middle(settled(tab, lambda image: red(image).any() and middle(image) == near)) == near
     tab.close()
 
 
