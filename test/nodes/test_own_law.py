@@ -7,7 +7,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 import yaml
-from nodes.conftest import ROOT
+from nodes.conftest import DEADLINE, ROOT
 from nodes.control_client import controlled
 from nodes.simulation_client import NAME, simulated
 from rcl_interfaces.srv import DescribeParameters, GetParameters
@@ -112,7 +112,7 @@ def test_it_controls_the_simulator_in_lock_step_with_gains_from_a_file(domain, t
                 arm.probe.spin_for(0.02)
                 return np.abs(np.array(arm.newest.position)[at] - target).max() < 1e-4
 
-            client.probe.spin_until(is_there)
+            client.probe.spin_until(is_there, timeout=3.0 * DEADLINE)
             client.probe.spin_until(lambda: np.abs(client.states[-1].position).max() < 1e-3)
             arm.probe.spin_for(0.1)
             ticks = np.unique(arm.stamps())
