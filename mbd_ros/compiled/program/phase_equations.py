@@ -95,9 +95,9 @@ class PhaseEquations:
         """Whether couplings are made of pieces, so that slopes of the equations may jump."""
         e = self.equations
         both = ca.vertcat(*(column(one) for one in (e.coordinates.q, e.coordinates.v)))
-        function = ca.Function("coupled", [self.symbols["q"], self.symbols["v"]], [both])
-        count = range(function.n_instructions())
-        return any(function.instruction_id(i) == ca.OP_IF_ELSE_ZERO for i in count)
+        coupled = ca.Function("coupled", [self.symbols["q"], self.symbols["v"]], [both])
+        operations = map(coupled.instruction_id, range(coupled.n_instructions()))
+        return ca.OP_IF_ELSE_ZERO in operations
 
     @property
     def _closing(self) -> Rows:
@@ -119,14 +119,17 @@ class PhaseEquations:
         found = [(j.idx_q, j.idx_v) for j in joints if j.nq == 1 and j.idx_q >= 0]
         return np.array(found, dtype=np.intp).reshape(-1, 2)
 
+    @property
+    def _arguments(self) -> list[Any]:
+        return [self.symbols[key] for key in ("t", *LETTERS, "p")]
+
     @cached_property
     def _slopes(self) -> Any:
         """(t, q, v, z, a, w, u, l, p) -> r, linear in w, and its slopes by (a, l, w), dense."""
         by = ca.vertcat(*(self.symbols[key] for key in "alw"))
-        given = [self.symbols[key] for key in ("t", *LETTERS, "p")]
         r = ca.vertcat(self._motion, self.symbols["w"] - self.equations.rates)
         results = [ca.densify(r), ca.densify(ca.jacobian(r, by))]
-        return ca.Function("slopes", given, ca.cse(results))
+        return ca.Function("slopes", self._arguments, ca.cse(results))
 
     def answers(self, values: Mapping[str, Array], times: Array, p: Array) -> tuple[Array, Array]:
         """The r and its slopes by (a, l, w), shapes (n, rows) and (n, rows, rows).
@@ -136,23 +139,18 @@ class PhaseEquations:
             times: [s], shape (n,).
             p: Parameters.
         """
-        n, sizes = len(times), self.sizes
-        given = [times[None, :]]
-        for key in LETTERS:
-            size = int(self.symbols[key].numel())
-            given.append(values[key].T if key in values else np.zeros((size, n)))
-        given.append(np.repeat(np.asarray(p)[:, None], n, axis=1))
-        r, K = self._slopes.map(n)(*given)
-        rows = sizes.nv + sizes.m + sizes.nz
-        return _full(r).T, _full(K).T.reshape(n, rows, rows).transpose(0, 2, 1)
+        n, absent = len(times), set(LETTERS).difference(values)
+        zeros = {key: np.zeros((n, int(self.symbols[key].numel()))) for key in absent}
+        r, K = self._slopes.map(n)(*_columns({**values, **zeros}, times, p))
+        r, K = _full(r).T, _full(K).T
+        return r, K.reshape(n, r.shape[1], r.shape[1]).transpose(0, 2, 1)
 
     @cached_property
     def _pushes(self) -> Any:
         """(t, q, v, z, a, w, u, l, p) -> r, and its slopes by (u, l), dense."""
-        by = ca.vertcat(self.symbols["u"], self.symbols["l"])
-        given = [self.symbols[key] for key in ("t", *LETTERS, "p")]
-        results = [ca.densify(self.residual), ca.densify(ca.jacobian(self.residual, by))]
-        return ca.Function("pushes", given, ca.cse(results))
+        by, r = ca.vertcat(self.symbols["u"], self.symbols["l"]), self.residual
+        results = [ca.densify(r), ca.densify(ca.jacobian(r, by))]
+        return ca.Function("pushes", self._arguments, ca.cse(results))
 
     def pushed(
         self, values: Mapping[str, Array], times: Array, p: Array, given: Array
@@ -166,8 +164,7 @@ class PhaseEquations:
             given: Places of inputs that are given.
         """
         n, sizes = len(times), self.sizes
-        whole = [values[key].T for key in LETTERS]
-        r, K = self._pushes.map(n)(times[None, :], *whole, np.repeat(p[:, None], n, axis=1))
+        r, K = self._pushes.map(n)(*_columns(values, times, p))
         K = _full(K).T.reshape(n, sizes.nu + sizes.m, -1).transpose(0, 2, 1)[:, : sizes.nv]
         K[:, :, given] = 0.0
         step = -np.linalg.pinv(K) @ _full(r).T[:, : sizes.nv, None]
@@ -177,13 +174,13 @@ class PhaseEquations:
     @cached_property
     def _rows(self) -> Any:
         """(t, q, v, p) -> g and J of rows of positions, g' and J of all rows."""
-        given = [self.symbols[key] for key in "tqvp"]
-        results = [self.positions, self.jacobians[0], self.velocities, self.jacobians[1]]
-        return ca.Function("rows", given, [ca.densify(ca.SX(one)) for one in results])
+        symbols, (J, of_all) = [self.symbols[key] for key in "tqvp"], self.jacobians
+        found = [ca.densify(ca.SX(one)) for one in (self.positions, J, self.velocities, of_all)]
+        return ca.Function("rows", symbols, found)
 
     def rows_at(self, t: float, q: Array, v: Array, p: Array) -> tuple[Array, ...]:
         """G and J of rows of positions, then g' and J of all rows, at a state."""
-        g, J, rate, of_all = (_full(one) for one in self._rows(t, q, v, p))
+        g, J, rate, of_all = map(_full, self._rows(t, q, v, p))
         return g.ravel(), J, rate.ravel(), of_all
 
     def solved(self, values: Mapping[str, Array], times: Array, p: Array) -> dict[str, Array]:
@@ -192,26 +189,25 @@ class PhaseEquations:
         Raises:
             SolveError: Rows depend on each other.
         """
-        given = {key: values[key] for key in "qvzu"}
-        r, K = self.answers(given, times, p)
+        r, K = self.answers({key: values[key] for key in "qvzu"}, times, p)
         try:
             x = np.linalg.solve(K, -r[:, :, None])[:, :, 0] if r.size else r
         except np.linalg.LinAlgError as error:
-            names = ", ".join(row.name for row in self.equations.system.multiplier_rows)
-            raise SolveError(
-                f"rows that hold depend on each other at a state of the motion, among {names}"
-            ) from error
+            rows = ", ".join(row.name for row in self.equations.system.multiplier_rows)
+            text = "rows that hold depend on each other at a state of the motion, among"
+            raise SolveError(f"{text} {rows}") from error
         nv, m = self.sizes.nv, self.sizes.m
         return {"a": x[:, :nv], "l": x[:, nv : nv + m], "w": x[:, nv + m :]}
 
     @cached_property
     def _balances(self) -> Any:
         """(t, q, v, z, a, w, u, l, p) -> balance g of internal states, own slopes by w and z."""
-        given = [self.symbols[key] for key in ("t", *LETTERS, "p")]
         g, w, z = self._balance, self.symbols["w"], self.symbols["z"]
-        count = range(self.sizes.nz)
-        slopes = [ca.densify(ca.jacobian(g[i], by[i])) for by in (w, z) for i in count]
-        return ca.Function("balances", given, ca.cse([ca.vertcat(ca.densify(g), *slopes)]))
+        both = [(g[i], by[i]) for by in (w, z) for i in range(self.sizes.nz)]
+        slopes = [ca.densify(ca.jacobian(*one)) for one in both]
+        return ca.Function(
+            "balances", self._arguments, ca.cse([ca.vertcat(ca.densify(g), *slopes)])
+        )
 
     def calmed(
         self, values: Mapping[str, Array], w: Array, times: Array, spans: Array, p: Array
@@ -228,13 +224,10 @@ class PhaseEquations:
             spans: Over which rates act [s], shape (n,).
             p: Parameters.
         """
-        stiff = self._stiff
-        if not stiff.any():
+        if not (stiff := self._stiff).any():
             return w
-        n = len(times)
-        given = [times[None, :], *(values[key].T for key in LETTERS)]
-        given.append(np.repeat(np.asarray(p)[:, None], n, axis=1))
-        g, by_w, by_z = np.split(_full(self._balances.map(n)(*given)).T, 3, axis=1)
+        columns = _columns(values, times, p)
+        g, by_w, by_z = np.split(_full(self._balances.map(len(times))(*columns)).T, 3, axis=1)
         slope = by_w + spans[:, None] * np.maximum(by_z, 0.0)
         found = w.copy()
         found[:, stiff] = (values["w"] - g / slope)[:, stiff]
@@ -245,6 +238,12 @@ class PhaseEquations:
         """Which internal states have rates that solve an equation, shape (nz,)."""
         by = ca.jacobian(self._balance, self.symbols["w"])
         return np.array([not by[i, i].is_constant() for i in range(self.sizes.nz)], dtype=np.bool_)
+
+
+def _columns(values: Mapping[str, Array], times: Array, p: Array) -> list[Array]:
+    """What a function of (t, q, v, z, a, w, u, l, p) takes, a column a time."""
+    parameters = np.repeat(np.asarray(p)[:, None], len(times), axis=1)
+    return [times[None, :], *(values[key].T for key in LETTERS), parameters]
 
 
 def _full(values: Any) -> Array:

@@ -130,5 +130,6 @@ def _figure(name: str, outcomes: Sequence[tuple[Item, Outcome]]) -> Figure:
     axes.set_ylabel("error of the least cost, relative")
     axes.set_title(name, parse_math=False)
     axes.grid(alpha=0.4)
-    axes.legend(frameon=False)
+    if axes.lines:
+        axes.legend(frameon=False)
     return figure
