@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from worn_leg import LEG, worn_leg
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
@@ -11,29 +12,15 @@ from mbd_ros.jobs.learn.model_folder import read_folder, write_folder
 pytest.importorskip("torch", reason="torch is optional and large (extra: learn)")
 pytest.importorskip("onnx", reason="onnx is optional (extra: learn)")
 pytest.importorskip("onnxruntime", reason="onnxruntime is optional (extra: learned)")
-LEG = "prosthetic_leg"
 WALK = {"amplitude": (0.35, 0.5, 0.2), "middle": (0.05, -0.5, 0.0), "period": (0.9, 1.5)}
 RUN = {"amplitude": (0.5, 0.75, 0.3), "middle": (0.1, -0.7, 0.0), "period": (0.62, 0.75)}
 HARMONICS = ((1.0, 0.9, 0.0), (0.35, 0.7, 1.3), (0.12, 2.0, 0.0))
 NOISE = (2.8, 1.3, 0.3)  # N·m: 5 % of the torques of walking
 
 
-def true_leg():
-    """The leg with friction and with 0.8 kg on its foot, which no description knows."""
-    leg = mbd.load_scene(LEG)
-    one = leg.robot.inertias()["foot"]
-    heavy = (one.mass + 0.8, [0.03, 0.0, -0.05], np.array(one.inertia) + 0.004 * np.eye(3))
-    pairs = zip(leg.couplings.independent, (2.5, 2.0, 1.0), (0.6, 0.5, 0.3), strict=True)
-    rubbing = [
-        {"type": "gear_friction", "joint": j, "coulomb": c, "viscous": d, "smoothing": 0.05}
-        for j, c, d in pairs
-    ]
-    return leg.with_inertias({"foot": heavy}).with_(forces=rubbing)
-
-
 def stride(random, kind, count=40, noise=1.0):
     """A stride with its torques, as a recording; positions of three harmonics."""
-    true = true_leg()
+    true = worn_leg(0.05)
     period, scatter = random.uniform(*kind["period"]), 0.1 if kind is RUN else 0.2
     t = np.arange(count) / count * period
     q, v, a = np.zeros((3, count, 3))

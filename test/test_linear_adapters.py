@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from worn_leg import LEG, worn_leg
 
 import mbd_ros as mbd
 from mbd_ros.jobs.learn.correcting import Columns, fitted
@@ -10,24 +11,14 @@ from mbd_ros.jobs.learn.scales import Scales
 from mbd_ros.jobs.learn.task import Task
 from mbd_ros.jobs.learn.trust import is_better, trusted
 
-LEG = "prosthetic_leg"
 WALK = 1.2, (0.35, 0.5, 0.2), (0.05, -0.5, 0.0)  # s, rad, rad: stride, amplitudes, middles
 RUN = 0.6, (0.5, 0.75, 0.3), (0.1, -0.7, 0.0)
 NOISE = 0.6  # N·m
 
 
 def true_leg():
-    """The leg with sharp friction, a spring and 0.8 kg on its foot, which no description knows."""
-    leg = mbd.load_scene(LEG)
-    one = leg.robot.inertias()["foot"]
-    heavy = (one.mass + 0.8, [0.03, 0.0, -0.05], np.array(one.inertia) + 0.004 * np.eye(3))
-    pairs = zip(leg.couplings.independent, (2.5, 2.0, 1.0), (0.6, 0.5, 0.3), strict=True)
-    rubbing = [
-        {"type": "gear_friction", "joint": j, "coulomb": c, "viscous": d, "smoothing": 0.02}
-        for j, c, d in pairs
-    ]
-    spring = {"type": "joint_spring", "joint": "ankle", "stiffness": 25.0}
-    return leg.with_inertias({"foot": heavy}).with_(forces=[*rubbing, spring])
+    """The worn leg with sharp friction and a spring."""
+    return worn_leg(0.02, {"type": "joint_spring", "joint": "ankle", "stiffness": 25.0})
 
 
 def recorded(true, kind, strides, rate, random=None):
