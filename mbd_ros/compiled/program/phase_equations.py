@@ -194,8 +194,8 @@ class PhaseEquations:
             x = np.linalg.solve(K, -r[:, :, None])[:, :, 0] if r.size else r
         except np.linalg.LinAlgError as error:
             rows = ", ".join(row.name for row in self.equations.system.multiplier_rows)
-            text = "rows that hold depend on each other at a state of the motion, among"
-            raise SolveError(f"{text} {rows}") from error
+            text = f"rows that hold depend on each other at a state of the motion, among {rows}"
+            raise SolveError(f"{text}; accepted: a guess that keeps clear of it") from error
         nv, m = self.sizes.nv, self.sizes.m
         return {"a": x[:, :nv], "l": x[:, nv : nv + m], "w": x[:, nv + m :]}
 
