@@ -102,12 +102,12 @@ fuzz-nodes: venv
 	PYTHONPATH=test $(BIN)/python -m fuzz.nodes
 
 bench: venv
-	$(BIN)/python -m mbd_ros.report.bench.forward
-	$(BIN)/python -m mbd_ros.report.bench.inverse
-	$(BIN)/python -m mbd_ros.report.bench.projector
-	$(BIN)/python -m mbd_ros.report.bench.controllers
-	$(BIN)/python -m mbd_ros.report.bench.contact
-	$(BIN)/python -m mbd_ros.report.bench.biomechanics
+	$(BIN)/python -m mbd_ros.applications.report.bench.forward
+	$(BIN)/python -m mbd_ros.applications.report.bench.inverse
+	$(BIN)/python -m mbd_ros.applications.report.bench.projector
+	$(BIN)/python -m mbd_ros.applications.report.bench.controllers
+	$(BIN)/python -m mbd_ros.applications.report.bench.contact
+	$(BIN)/python -m mbd_ros.applications.report.bench.biomechanics
 
 against: venv
 	$(BIN)/python benchmarks/against.py $(or $(BASE),HEAD)

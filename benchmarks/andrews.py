@@ -23,8 +23,8 @@ from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.simulation.sample_times import sample_times
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array
-from mbd_ros.scene.part_entries import build_part
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.reading.part_entries import build_part
 
 SCENE = "package://mbd_ros/config/scenes/benchmark/ts_andrews.yaml"
 DURATION, INTERVAL, ERROR, ROUNDS = 0.03, 0.03 / 400, 1e-6, 50

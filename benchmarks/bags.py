@@ -18,12 +18,12 @@ from pathlib import Path
 import numpy as np
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
-from mbd_ros.files.bag_rows import Rows
-from mbd_ros.files.bag_types import TYPES
-from mbd_ros.files.bags import BagWriter
-from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.job import inverse_to
-from mbd_ros.jobs.inverse.observed import Task
+from mbd_ros.features.inverse_dynamics.job import inverse_to
+from mbd_ros.files.bags.bag_rows import Rows
+from mbd_ros.files.bags.bag_types import TYPES
+from mbd_ros.files.bags.bags import BagWriter
+from mbd_ros.motion.derivatives import Derivatives
+from mbd_ros.motion.samples import Task
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state_rows import joint_state_rows
 

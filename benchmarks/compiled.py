@@ -18,15 +18,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.applications.report.peers.mujoco_peer import MujocoRun
+from mbd_ros.applications.report.peers.translation import common_ground, task_of
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError
-from mbd_ros.report.peers.mujoco_peer import MujocoRun
-from mbd_ros.report.peers.translation import common_ground, task_of
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.part_entries import build_part
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.reading.part_entries import build_part
 
 SCENES = "package://mbd_ros/config/scenes/benchmark"
 STEPS = (0.1, 0.05, 0.02, 0.01, 5e-3, 2e-3, 1e-3, 5e-4, 2e-4, 1e-4, 5e-5)

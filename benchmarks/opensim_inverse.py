@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros import load_scene
-from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.external import ExternalLoads
-from mbd_ros.jobs.inverse.observed import Task, observe_motion
+from mbd_ros.motion.derivatives import Derivatives
+from mbd_ros.motion.external_loads import ExternalLoads
+from mbd_ros.motion.samples import Task, observe_motion
 
 _ROUNDS = 5
 _FRAMES = 3000  # at least, for a round

@@ -17,9 +17,9 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros import load_scene
-from mbd_ros.core.model.path_batch import PathBatch
+from mbd_ros.core.paths.sampled_paths import PathBatch
 from mbd_ros.core.state import Array
-from mbd_ros.scene.path_search import QuickestSearch
+from mbd_ros.scene.runs.path_search import QuickestSearch
 
 _ROUNDS = 3
 _FREE = 1.5  # rad or m, on either side of 0 where a joint has no bound

@@ -24,10 +24,10 @@ os.environ["OMP_NUM_THREADS"] = "1"
 import numpy as np
 
 from mbd_ros.core.state import State
-from mbd_ros.jobs.inverse.derivatives import Derivatives
-from mbd_ros.jobs.inverse.external import ExternalLoads
-from mbd_ros.jobs.inverse.observed import Task, observe_motion
-from mbd_ros.scene.muscles_task import muscles_task
+from mbd_ros.features.muscles.task import muscles_task
+from mbd_ros.motion.derivatives import Derivatives
+from mbd_ros.motion.external_loads import ExternalLoads
+from mbd_ros.motion.samples import Task, observe_motion
 from mbd_ros.scene.reader import load_scene
 
 _ROUNDS = 3

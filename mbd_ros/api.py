@@ -6,26 +6,26 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.features.dirac_brackets.job import bracket
+from mbd_ros.features.estimation.job import estimate
+from mbd_ros.features.gait.job import gait
+from mbd_ros.features.identification.excite.job import excite
+from mbd_ros.features.identification.job import identify
+from mbd_ros.features.identification.learn.job import learn
+from mbd_ros.features.identification.payload.job import payload
+from mbd_ros.features.inverse_dynamics.job import inverse
+from mbd_ros.features.loads.job import loads
+from mbd_ros.features.markers.job import kinematics
+from mbd_ros.features.muscles.job import muscles
+from mbd_ros.features.muscles.moment_arms.job import moment_arms
+from mbd_ros.features.prediction.job import predict
+from mbd_ros.features.regulator.job import follow
+from mbd_ros.features.sampling.job import sample
+from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.formats import read_result as read_result
-from mbd_ros.jobs.bracket.job import bracket
-from mbd_ros.jobs.estimate.job import estimate
-from mbd_ros.jobs.excite.job import excite
-from mbd_ros.jobs.follow.job import follow
-from mbd_ros.jobs.gait.job import gait
-from mbd_ros.jobs.identify.job import identify
-from mbd_ros.jobs.inverse.job import inverse
-from mbd_ros.jobs.kinematics.job import kinematics
-from mbd_ros.jobs.learn.job import learn
-from mbd_ros.jobs.loads.job import loads
-from mbd_ros.jobs.moment_arms.job import moment_arms
-from mbd_ros.jobs.muscles.job import muscles
-from mbd_ros.jobs.payload.job import payload
-from mbd_ros.jobs.predict.job import predict
-from mbd_ros.jobs.sample.job import sample
-from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.scene import built_scene, from_python, reader
-from mbd_ros.scene.building import Origin
-from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.reading.building import Origin
+from mbd_ros.scene.schema.code_permission import permitting
 
 
 class Lines(str):
@@ -114,7 +114,7 @@ def _with_jobs(scene: Any) -> Any:
     """A scene with the jobs as methods."""
     if not reader.is_of_particles(scene):
         return Scene.of(scene)
-    from mbd_ros.jobs.particle_api import ParticleScene
+    from mbd_ros.particle_api import ParticleScene
 
     return ParticleScene.of(scene)
 

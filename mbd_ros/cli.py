@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from mbd_ros.errors import BAD_INPUT, INTERRUPTED, OK, MbdError, install_hint
 from mbd_ros.jobs.table import COMMANDS, CommandError, command_module
-from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.schema.code_permission import permitting
 
 _EXAMPLE = "mbd-ros simulate prosthetic_leg -t 1 -o swing.csv"
 
@@ -71,7 +71,7 @@ def _run(name: str, words: Sequence[str]) -> int:
 
 def _unknown(words: Sequence[str]) -> str:
     """Why words that no option takes are refused."""
-    from mbd_ros.scene.renamed import renamed  # here, since it serves errors only
+    from mbd_ros.scene.schema.renamed import renamed  # here, since it serves errors only
 
     hints = "".join(renamed("option", word.partition("=")[0]) for word in words)
     return f"unrecognized arguments: {' '.join(words)}{hints}"

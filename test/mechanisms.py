@@ -3,10 +3,10 @@
 Revolute joints turn about z, rods lie along x.
 """
 
-from mbd_ros.core.dynamics.showing import Showing
+from mbd_ros.core.dynamics.output_values import Showing
 from mbd_ros.core.state import NONE
 from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.strict_yaml import mapping_of
+from mbd_ros.scene.schema.strict_yaml import mapping_of
 
 
 def scene_of(text, urdf=None):

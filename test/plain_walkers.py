@@ -8,8 +8,8 @@ import math
 import numpy as np
 
 from mbd_ros.core.events.event_location import sign_change
-from mbd_ros.core.gait.flow import Segment
 from mbd_ros.core.integration.dop853_tableau import DOP853
+from mbd_ros.core.sensitivities.flow import Segment
 from mbd_ros.core.state import State
 from mbd_ros.errors import FallError
 

@@ -2,8 +2,8 @@
 
 import sys
 
+from mbd_ros.applications.report import items
 from mbd_ros.cli import main
-from mbd_ros.report import items
 
 if __name__ == "__main__":
     items.PARTS = {"fake": "report_fake_part"}

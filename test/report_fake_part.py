@@ -5,7 +5,7 @@ import signal
 import time
 from pathlib import Path
 
-from mbd_ros.report.items import Item, Section, Table
+from mbd_ros.applications.report.items import Item, Section, Table
 
 COUNT, SECONDS = 12, 0.1
 

@@ -3,10 +3,10 @@
 import json
 from pathlib import Path
 
+from mbd_ros.applications.report import items
+from mbd_ros.applications.report.precision.choices import Choice
 from mbd_ros.cli import main
-from mbd_ros.report import items
-from mbd_ros.report.precision.choices import Choice
-from mbd_ros.scene.locate import find_file
+from mbd_ros.scene.schema.locate import find_file
 
 ROBOTS = "package://mbd_ros/config/robots/benchmark"
 TIMES = {"date", "duration", "work", "machine"}  # what differs from run to run

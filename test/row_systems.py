@@ -7,13 +7,13 @@ import pinocchio as pin
 from scipy.integrate import solve_ivp
 from systems import acceleration, free_system
 
-from mbd_ros.constraints.distance import Distance
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import State
+from mbd_ros.parts.constraints.distance import Distance
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
 GRAVITY = 9.81

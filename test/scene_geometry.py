@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.scene.strict_yaml import read_mapping
+from mbd_ros.scene.schema.strict_yaml import read_mapping
 
 
 class Mechanism:

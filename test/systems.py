@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 
 

@@ -7,14 +7,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.actuators.geared_motor import GearedMotor
-from mbd_ros.actuators.ideal import Ideal
-from mbd_ros.actuators.series_elastic import SeriesElastic
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import schema
+from mbd_ros.parts.actuators.geared_motor import GearedMotor
+from mbd_ros.parts.actuators.ideal import Ideal
+from mbd_ros.parts.actuators.series_elastic import SeriesElastic
+from mbd_ros.scene.schema import schema
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
 FIXED, FREE = read_robot(LEG), read_robot(LEG, base="floating")

@@ -22,13 +22,13 @@ ORDER = (  # of the rooms: each may import those before it
     "mbd_ros.compiled",
     "mbd_ros.scene",
     "mbd_ros.files",
-    "mbd_ros.workers",
+    "mbd_ros.jobs.workers",
     "mbd_ros.jobs",
     "mbd_ros.api",
     "mbd_ros.view",
     "mbd_ros.nodes",
-    "mbd_ros.demo",
-    "mbd_ros.report",
+    "mbd_ros.applications.demo",
+    "mbd_ros.applications.report",
     "mbd_ros.cli",
     "programs",
 )
@@ -81,7 +81,13 @@ PART_FOLDERS = {
         "stabilization",
     )
 }
-APPLICATIONS = {"mbd_ros.demo", "mbd_ros.report", "mbd_ros.view", "mbd_ros.cli", "programs"}
+APPLICATIONS = {
+    "mbd_ros.applications.demo",
+    "mbd_ros.applications.report",
+    "mbd_ros.view",
+    "mbd_ros.cli",
+    "programs",
+}
 NAMES_ONLY = "mbd_ros.nodes.table.NODES"  # which nodes there are, and where
 QP_SOLVERS = f"{CORE}.optimization.qp_solvers"
 MATH = {"numpy", "pinocchio", "eigenpy", "coal"}
@@ -254,21 +260,24 @@ def test_a_threshold_has_one_home_and_a_use():
         ("mbd_ros/core/model/robot.py", "import logging"),
         ("mbd_ros/core/model/robot.py", "def f(p):\n    return open(p)"),
         ("mbd_ros/core/model/robot.py", "print(1)"),
-        ("mbd_ros/forces/spring.py", "from mbd_ros.contacts.plane import Plane"),
-        ("mbd_ros/forces/spring.py", "from mbd_ros.scene.reader import load_scene"),
-        ("mbd_ros/forces/spring.py", "import yaml"),
-        ("mbd_ros/forces/spring.py", "from sensor_msgs.msg import JointState"),
+        ("mbd_ros/parts/forces/spring.py", "from mbd_ros.parts.contacts.plane import Plane"),
+        ("mbd_ros/parts/forces/spring.py", "from mbd_ros.scene.reader import load_scene"),
+        ("mbd_ros/parts/forces/spring.py", "import yaml"),
+        ("mbd_ros/parts/forces/spring.py", "from sensor_msgs.msg import JointState"),
         ("mbd_ros/scene/reader.py", "import rclpy"),
-        ("mbd_ros/scene/registry.py", "from mbd_ros.forces.joint_spring import JointSpring"),
+        (
+            "mbd_ros/scene/schema/registry.py",
+            "from mbd_ros.parts.forces.joint_spring import JointSpring",
+        ),
         ("mbd_ros/scene/reader.py", "from mbd_ros.nodes.shell.shell import Shell"),
         ("msg_adapters/wrench.py", "import rclpy"),
         ("msg_adapters/wrench.py", "from geometry_msgs.msg import Wrench"),
         ("msg_adapters/wrench.py", "from mbd_ros.errors import MbdError"),
-        ("mbd_ros/files/bags.py", "from mbd_ros.nodes import shell"),
-        ("mbd_ros/demo/run.py", "import mbd_ros.nodes.shell.shell"),
+        ("mbd_ros/files/bags/bags.py", "from mbd_ros.nodes import shell"),
+        ("mbd_ros/applications/demo/run.py", "import mbd_ros.nodes.shell.shell"),
         ("mbd_ros/cli.py", "from mbd_ros.nodes.inverse_dynamics.node import InverseDynamicsNode"),
-        ("mbd_ros/jobs/check.py", "def f():\n    import mbd_ros.nodes.shell.shell"),
-        ("mbd_ros/files/csv.py", "from mbd_ros.jobs.progress import progress"),
+        ("mbd_ros/features/scenes/check.py", "def f():\n    import mbd_ros.nodes.shell.shell"),
+        ("mbd_ros/files/tables/csv.py", "from mbd_ros.jobs.progress import progress"),
         ("mbd_ros/core/rows/law.py", "from mbd_ros.core.dynamics.system import System"),
         ("mbd_ros/core/state.py", "from mbd_ros.core.model.robot import Robot"),
     ],
@@ -286,7 +295,7 @@ def test_a_forbidden_line_is_seen(path, source):
             "import math, numpy as np, pinocchio\nfrom mbd_ros.core import state",
         ),
         (
-            "mbd_ros/forces/spring.py",
+            "mbd_ros/parts/forces/spring.py",
             "import numpy\nfrom mbd_ros.core.model.robot import Robot",
         ),
         ("mbd_ros/cli.py", "def f():\n    from mbd_ros.nodes.simulator.node import SimulatorNode"),
@@ -347,7 +356,7 @@ def test_the_package_alone_imports_nothing():
 
 def test_an_empty_scene_imports_nothing_that_it_does_not_use():
     modules = loaded_by_check(ROOT / "config/scenes/empty.yaml")
-    assert "mbd_ros.core.inverse.inverse_dynamics" in modules
+    assert "mbd_ros.core.inverse_dynamics.inverse_dynamics" in modules
     assert [m for m in modules if within(m, UNWANTED | PART_FOLDERS | UNNAMED)] == []
 
 
@@ -360,4 +369,4 @@ def test_a_scene_imports_the_parts_that_it_names(tmp_path):
         encoding="utf-8",
     )
     parts = [m for m in loaded_by_check(scene) if within(m, PART_FOLDERS)]
-    assert parts == ["mbd_ros.forces", "mbd_ros.forces.joint_spring"]
+    assert parts == ["mbd_ros.parts.forces", "mbd_ros.parts.forces.joint_spring"]

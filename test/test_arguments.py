@@ -6,11 +6,11 @@ from typing import Annotated, Literal, NamedTuple
 
 import pytest
 
-from mbd_ros.controllers.sliding_mode import SlidingMode
 from mbd_ros.core.ranges import Gain, Unit, Within, described
 from mbd_ros.errors import ModelError
-from mbd_ros.scene.arguments import arguments
-from mbd_ros.scene.docstrings import entries
+from mbd_ros.parts.controllers.sliding_mode import SlidingMode
+from mbd_ros.scene.schema.arguments import arguments
+from mbd_ros.scene.schema.docstrings import entries
 
 DOC = """Say something.
 

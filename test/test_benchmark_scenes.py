@@ -12,8 +12,8 @@ import pytest
 from scene_geometry import Mechanism
 from scipy.linalg import eigh
 
+from mbd_ros.applications.report.precision.reference_problems import PROBLEMS, reference
 from mbd_ros.core.state import State
-from mbd_ros.report.precision.reference_problems import PROBLEMS, reference
 
 CONFIG = Path(__file__).parents[1] / "config"
 BY_NAME = {problem.name: problem for problem in PROBLEMS}

@@ -4,13 +4,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
-from mbd_ros.forces.applied_wrench import AppliedWrench
-from mbd_ros.forces.body_force import BodyForce
-from mbd_ros.forces.bushing import Bushing
-from mbd_ros.forces.soft_limit import SoftLimit
+from mbd_ros.parts.forces.applied_wrench import AppliedWrench
+from mbd_ros.parts.forces.body_force import BodyForce
+from mbd_ros.parts.forces.bushing import Bushing
+from mbd_ros.parts.forces.soft_limit import SoftLimit
 from mbd_ros.scene.from_python import scene_from
 
 SCENE = scene_from(urdf="arm7")

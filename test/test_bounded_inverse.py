@@ -7,25 +7,25 @@ from mechanisms import double_pendulum, floating_body, four_bar, four_bar_closur
 from scipy.optimize import lsq_linear
 
 from mbd_ros import api
-from mbd_ros.actuators.geared_motor import GearedMotor
-from mbd_ros.actuators.series_elastic import SeriesElastic
-from mbd_ros.constraints.dry_friction import DryFriction
-from mbd_ros.constraints.frame_anchor import FrameAnchor
-from mbd_ros.constraints.joint_stop import JointStop
-from mbd_ros.constraints.loop_closure import LoopClosure
-from mbd_ros.constraints.point_on_plane import PointOnPlane
-from mbd_ros.constraints.prescribed_motion import PrescribedMotion
-from mbd_ros.core.dynamics.inputs import bound
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse.efforts import Efforts, input_efforts, joint_efforts
+from mbd_ros.core.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse_dynamics.efforts import Efforts, input_efforts, joint_efforts
+from mbd_ros.core.loads.inputs import bound
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.optimization.least_in_bounds import least_in_bounds
-from mbd_ros.core.row_laws import box, cone, unilateral
+from mbd_ros.core.multiplier_laws import box, cone, unilateral
+from mbd_ros.core.optimization.least_norm_in_bounds import least_in_bounds
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.parts.actuators.geared_motor import GearedMotor
+from mbd_ros.parts.actuators.series_elastic import SeriesElastic
+from mbd_ros.parts.constraints.dry_friction import DryFriction
+from mbd_ros.parts.constraints.frame_anchor import FrameAnchor
+from mbd_ros.parts.constraints.joint_stop import JointStop
+from mbd_ros.parts.constraints.loop_closure import LoopClosure
+from mbd_ros.parts.constraints.point_on_plane import PointOnPlane
+from mbd_ros.parts.constraints.prescribed_motion import PrescribedMotion
 
 STOPPED = """
 robot: {gravity: [0.0, -9.81, 0.0]}

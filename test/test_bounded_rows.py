@@ -8,25 +8,25 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
+from mbd_ros.core.complementarity.bounded_rows import BoundedRows
 from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
-from mbd_ros.core.dynamics.internals import Internals
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.tiers import build_system, tier_of
+from mbd_ros.core.loads.internal_states import Internals
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.optimization.bounded_rows import BoundedRows
 from mbd_ros.core.optimization.box_qp import complementarity_residual
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
-from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.scene.part_entries import build_part
-from mbd_ros.stabilization.none import NoStabilization
+from mbd_ros.parts.integrators.rk4 import Rk4
+from mbd_ros.parts.stabilization.none import NoStabilization
+from mbd_ros.scene.reading.part_entries import build_part
 
 ROOT = Path(__file__).parents[1]
 ARM = (ROOT / "config/robots/arm7.urdf").read_text(encoding="utf-8")

@@ -8,7 +8,7 @@ import pytest
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.jobs.bracket.job import phase_space
+from mbd_ros.features.dirac_brackets.job import phase_space
 
 SCENES = ("particles/sphere", "particles/trimer", "particles/ring_of_one_branch", "heat_bath")
 

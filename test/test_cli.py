@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.files.csv import read_table, write_table
+from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
@@ -218,7 +218,7 @@ def test_every_kind_of_output_holds_the_same_torques(capsys, tmp_path, motion, n
         table = read_table(tmp_path / name)
         efforts = table.values[:, table.columns.index("hinge.gravity")]
     else:
-        from mbd_ros.files.recordings import read_motion
+        from mbd_ros.motion.recordings import read_motion
 
         efforts = read_motion(tmp_path / name, ["hinge"], topic="/joint_torques").motion.effort
     assert efforts.ravel() == pytest.approx(np.full(5, 2.4525), abs=1e-9)

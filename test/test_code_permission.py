@@ -10,15 +10,15 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.errors import SceneError
-from mbd_ros.files.csv import write_table
-from mbd_ros.scene.code_permission import is_permitted, permitting
+from mbd_ros.files.tables.csv import write_table
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.schema.code_permission import is_permitted, permitting
 
 URDF = Path(__file__).parents[1] / "config/robots/arm7.urdf"
 TOLD = """
 from pathlib import Path
 import numpy as np
-from mbd_ros.core.parts import Load
+from mbd_ros.core.contracts.parts import Load
 Path(__file__).with_suffix(".ran").touch()
 class Push(Load):
     def __init__(self, robot):

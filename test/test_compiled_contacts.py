@@ -7,9 +7,9 @@ import pytest
 from test_compiled_events import ROBOTS, simulations, table
 
 from mbd_ros.api import load_scene
-from mbd_ros.integrators.dop853 import Dop853
-from mbd_ros.integrators.dopri5 import Dopri5
-from mbd_ros.integrators.rk4 import Rk4
+from mbd_ros.parts.integrators.dop853 import Dop853
+from mbd_ros.parts.integrators.dopri5 import Dopri5
+from mbd_ros.parts.integrators.rk4 import Rk4
 from mbd_ros.scene.from_python import scene_from
 
 SCENES = "package://mbd_ros/config/scenes/"

@@ -12,10 +12,10 @@ from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.runs.compiled_system import CompiledSystem
 from mbd_ros.compiled.runs.verify_slopes import verify_slopes
 from mbd_ros.compiled.symbols.trace import trace
-from mbd_ros.core.dynamics.balance import Balance
+from mbd_ros.core.dynamics.residual_force import Balance
 from mbd_ros.core.integration.newton import converge
 from mbd_ros.errors import ModelError
-from mbd_ros.scene.compiled_system import compiled_system
+from mbd_ros.scene.runs.compiled_system import compiled_system
 
 DRIVE = {
     "type": "series_elastic_drive", "joint": "knee", "stiffness": 300.0, "rotor_inertia": 1e-4,
@@ -171,7 +171,7 @@ class Counted:
     def __init__(self, patch):
         self.corrections = 0
         for module in ("gauss_legendre", "generalized_alpha"):
-            patch.setattr(f"mbd_ros.integrators.{module}.converge", self.converge)
+            patch.setattr(f"mbd_ros.parts.integrators.{module}.converge", self.converge)
 
     def converge(self, correct, tolerance):
         def counted():

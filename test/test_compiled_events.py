@@ -8,11 +8,11 @@ import pytest
 from mbd_ros.api import load_scene
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
 from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.integrators.adams import Adams
-from mbd_ros.integrators.dop853 import Dop853
-from mbd_ros.integrators.rk4 import Rk4
+from mbd_ros.parts.integrators.adams import Adams
+from mbd_ros.parts.integrators.dop853 import Dop853
+from mbd_ros.parts.integrators.rk4 import Rk4
+from mbd_ros.parts.stabilization.projection import Projection
 from mbd_ros.scene.from_python import scene_from
-from mbd_ros.stabilization.projection import Projection
 
 ROBOTS = "package://mbd_ros/config/robots/"
 ARM = {

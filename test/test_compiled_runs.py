@@ -9,18 +9,18 @@ import pytest
 from mbd_ros.api import load_scene
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.dynamics.sources import HeldTable, LinearTable, Polynomials
+from mbd_ros.core.loads.input_sources import HeldTable, LinearTable, Polynomials
 from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.integrators.adams import Adams
-from mbd_ros.integrators.dop853 import Dop853
-from mbd_ros.integrators.dopri5 import Dopri5
-from mbd_ros.integrators.gauss_legendre import GaussLegendre
-from mbd_ros.integrators.rattle import Rattle
-from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.integrators.semi_implicit_euler import SemiImplicitEuler
-from mbd_ros.stabilization.baumgarte import Baumgarte
-from mbd_ros.stabilization.none import NoStabilization
-from mbd_ros.stabilization.projection import Projection
+from mbd_ros.parts.integrators.adams import Adams
+from mbd_ros.parts.integrators.dop853 import Dop853
+from mbd_ros.parts.integrators.dopri5 import Dopri5
+from mbd_ros.parts.integrators.gauss_legendre import GaussLegendre
+from mbd_ros.parts.integrators.rattle import Rattle
+from mbd_ros.parts.integrators.rk4 import Rk4
+from mbd_ros.parts.integrators.semi_implicit_euler import SemiImplicitEuler
+from mbd_ros.parts.stabilization.baumgarte import Baumgarte
+from mbd_ros.parts.stabilization.none import NoStabilization
+from mbd_ros.parts.stabilization.projection import Projection
 
 SWING = "package://mbd_ros/config/scenes/benchmark/arm7_swing.yaml"
 METHODS = {
@@ -223,8 +223,8 @@ def test_runs_take_less_than_those_of_mujoco(name, kind, mujoco_steps, error, ra
 
     The first run after MuJoCo's, which empties the caches, takes several times as long.
     """
-    peers = pytest.importorskip("mbd_ros.report.peers.mujoco_peer")
-    from mbd_ros.report.peers.translation import common_ground, task_of
+    peers = pytest.importorskip("mbd_ros.applications.report.peers.mujoco_peer")
+    from mbd_ros.applications.report.peers.translation import common_ground, task_of
 
     scene = load_scene(f"{BENCHMARK}/{name}.yaml")
     none = STABILIZATIONS["none"]

@@ -13,10 +13,10 @@ from mbd_ros.compiled.code.searches import SEARCH, emitted
 from mbd_ros.compiled.runs.implicit_method import compiled_system
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.path_batch import PathBatch
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.paths.sampled_paths import PathBatch
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.path_search import QuickestSearch
+from mbd_ros.scene.runs.path_search import QuickestSearch
 
 pytest.importorskip("casadi", reason="casadi traces scenes")
 

@@ -11,7 +11,7 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.jobs.table import COMMANDS
-from mbd_ros.scene.locate import embedded_scenes
+from mbd_ros.scene.schema.locate import embedded_scenes
 
 SHOWS = "mbd-ros() { printf '<%s>' \"$@\"; echo; }"  # in place of the program: the words it gets
 TAB = "\t"

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import mbd_ros as mbd
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 

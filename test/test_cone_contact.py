@@ -7,14 +7,14 @@ from mechanisms import joint, link, urdf
 from scipy.optimize import root
 from test_velocity_level import system_of
 
-from mbd_ros.contacts.rigid import Rigid
-from mbd_ros.core.dynamics.velocity_level import VelocityLevel
+from mbd_ros.core.complementarity.cone_contact import cone_contact
 from mbd_ros.core.geometry.shapes import Between, HalfSpace, Side, Sphere
+from mbd_ros.core.impacts.impact_map import VelocityLevel
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.optimization.cone_contact import cone_contact
 from mbd_ros.core.rows.pair_rows import plane_of
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
+from mbd_ros.parts.contacts.rigid import Rigid
 
 FRICTIONS = (0.0, 0.1, 0.5, 1.0, 3.0, 30.0)
 

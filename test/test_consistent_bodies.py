@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.identification.inertial_parameters import is_consistent
-from mbd_ros.jobs.identify.consistent import consistent
+from mbd_ros.core.model.inertial_parameters import is_consistent
+from mbd_ros.features.identification.physical_consistency import consistent
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
 GIVEN = pin.Inertia(2.0, np.array([0.05, 0.02, -0.1]), np.diag([0.02, 0.03, 0.025]))

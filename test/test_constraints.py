@@ -8,27 +8,27 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.constraints.distance import Distance
-from mbd_ros.constraints.dry_friction import DryFriction
-from mbd_ros.constraints.frame_anchor import FrameAnchor
-from mbd_ros.constraints.joint_stop import JointStop
-from mbd_ros.constraints.knife_edge import KnifeEdge
-from mbd_ros.constraints.loop_closure import LoopClosure
-from mbd_ros.constraints.point_on_plane import PointOnPlane
-from mbd_ros.constraints.prescribed_motion import PrescribedMotion
-from mbd_ros.constraints.screw import Screw
-from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.coupling_functions import Linear, Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
-from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.row_laws import Level, box, drive, unilateral
+from mbd_ros.core.multiplier_laws import Level, box, drive, unilateral
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.scene import schema
+from mbd_ros.parts.constraints.distance import Distance
+from mbd_ros.parts.constraints.dry_friction import DryFriction
+from mbd_ros.parts.constraints.frame_anchor import FrameAnchor
+from mbd_ros.parts.constraints.joint_stop import JointStop
+from mbd_ros.parts.constraints.knife_edge import KnifeEdge
+from mbd_ros.parts.constraints.loop_closure import LoopClosure
+from mbd_ros.parts.constraints.point_on_plane import PointOnPlane
+from mbd_ros.parts.constraints.prescribed_motion import PrescribedMotion
+from mbd_ros.parts.constraints.screw import Screw
+from mbd_ros.scene.schema import schema
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 LEG_URDF = (ROBOTS / "prosthetic_leg.urdf").read_text(encoding="utf-8")

@@ -9,10 +9,10 @@ from test_cone_contact import FRICTIONS, touch_down
 from test_velocity_level import consistent, inertia, keeps, robot_of, system_of
 
 import mbd_ros as mbd
-from mbd_ros.constraints.joint_stop import JointStop
-from mbd_ros.core.dynamics.velocity_level import Impact, VelocityLevel
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.impacts.impact_map import Impact, VelocityLevel
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import State
+from mbd_ros.parts.constraints.joint_stop import JointStop
 
 LINKS = {
     "arm": ("link3", "link5", "flange"),

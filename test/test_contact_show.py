@@ -5,14 +5,14 @@ import pytest
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 import mbd_ros as mbd
-from mbd_ros.core.dynamics.showing import Showing
-from mbd_ros.core.geometry.contact_show import OPEN, SLIP, STICK
-from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.outputs import Kind
+from mbd_ros.core.contracts.outputs import Kind
+from mbd_ros.core.dynamics.output_values import Showing
+from mbd_ros.core.geometry.contact_outputs import OPEN, SLIP, STICK
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.simulation.divergence import last_finite
 from mbd_ros.core.state import State
-from mbd_ros.nodes.simulator.contacts import topic_of
+from mbd_ros.nodes.shell.contact_topics import topic_of
 
 G, MASS = 9.81, 3.0
 CORNERS = [[x, y, -0.1] for x in (-0.3, 0.2) for y in (-0.15, 0.15)]

@@ -7,30 +7,30 @@ import numpy as np
 import pytest
 from standing_plan import standing
 
+from mbd_ros.core.contracts.parts import Actuator, Load, Part
+from mbd_ros.core.contracts.sensor import Sensor
 from mbd_ros.core.control.contract import ControlledJoints, Controller
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.estimation.estimator import Estimator
 from mbd_ros.core.estimation.process import LinearProcess
 from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
-from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.multiplier_laws import Level
 from mbd_ros.core.muscles.muscle import Muscle
-from mbd_ros.core.parts import Actuator, Load, Part
-from mbd_ros.core.projection.stabilizing import Stabilization
-from mbd_ros.core.row_laws import Level
+from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.rows.constraint import Constraint
-from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import schema
-from mbd_ros.scene.building import Origin, Site
-from mbd_ros.scene.code_permission import permitting
-from mbd_ros.scene.contact_entries import with_shapes
-from mbd_ros.scene.learned_entries import with_files
-from mbd_ros.scene.path_entries import with_paths
-from mbd_ros.scene.registry import METHODS, PARTS, resolve
+from mbd_ros.scene.reading.building import Origin, Site
+from mbd_ros.scene.reading.contact_entries import with_shapes
+from mbd_ros.scene.reading.learned_entries import with_files
+from mbd_ros.scene.reading.path_entries import with_paths
+from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.code_permission import permitting
+from mbd_ros.scene.schema.registry import METHODS, PARTS, resolve
 
 LEG = (Path(__file__).parents[1] / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
 NAMES = [(section, name) for section, names in PARTS.items() for name in names]

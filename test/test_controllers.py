@@ -12,9 +12,9 @@ from mbd_ros.core.control.mobility_factor import MobilityFactor
 from mbd_ros.core.control.sliding import mismatch, sliding_variable
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
-from mbd_ros.forces.joint_torque import JointTorque
-from mbd_ros.scene import schema
-from mbd_ros.scene.registry import resolve
+from mbd_ros.parts.forces.joint_torque import JointTorque
+from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.registry import resolve
 
 CONFIG = Path(__file__).parents[1] / "config"
 FOUR_BAR = ("knee_anterior", "knee_tibial", "knee_posterior")

@@ -9,19 +9,26 @@ import pinocchio as pin
 import pytest
 import yaml
 
+from mbd_ros.applications.demo import topics
+from mbd_ros.applications.demo.choices import LAWS, ROBOTS
+from mbd_ros.applications.demo.files import (
+    MASS_SCALE,
+    MODEL,
+    PLANT,
+    RATE,
+    write_gains,
+    write_scenes,
+)
+from mbd_ros.applications.demo.folder import replacing_folder
+from mbd_ros.applications.demo.page import Content, page
+from mbd_ros.applications.demo.summary import Table, lines
+from mbd_ros.applications.demo.task import disturbance, trajectory
 from mbd_ros.cli import main
 from mbd_ros.core.control.contract import Reference
 from mbd_ros.core.control.sliding import mismatch, sliding_variable
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.projection.observed_state import ObservedState
 from mbd_ros.core.state import NONE
-from mbd_ros.demo import topics
-from mbd_ros.demo.choices import LAWS, ROBOTS
-from mbd_ros.demo.files import MASS_SCALE, MODEL, PLANT, RATE, write_gains, write_scenes
-from mbd_ros.demo.folder import replacing_folder
-from mbd_ros.demo.page import Content, page
-from mbd_ros.demo.summary import Table, lines
-from mbd_ros.demo.task import disturbance, trajectory
 from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene
 
@@ -131,7 +138,7 @@ def test_gains_of_sliding_mode_withstand_model_error_and_disturbance(task):
 
 @pytest.mark.parametrize("law", LAWS)
 def test_every_law_takes_the_gains_of_every_robot(law, tmp_path):
-    from mbd_ros.scene.registry import resolve
+    from mbd_ros.scene.schema.registry import resolve
 
     for robot in ROBOTS.values():
         scene = load_scene(robot.scene)

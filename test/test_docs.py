@@ -13,12 +13,12 @@ import pytest
 from PIL import Image
 from scipy.integrate import simpson
 
+from mbd_ros.applications.report.readme import BEGIN, END
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
+from mbd_ros.features.completion.words import all_words
 from mbd_ros.files import formats
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.jobs.completion.words import all_words
-from mbd_ros.report.readme import BEGIN, END
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/*.md"))]

@@ -5,13 +5,13 @@ import pytest
 from test_actuators import FIXED
 from test_offline import SCENES
 
-from mbd_ros.actuators.geared_motor import GearedMotor
-from mbd_ros.actuators.ideal import Ideal
-from mbd_ros.actuators.series_elastic import SeriesElastic
 from mbd_ros.cli import main
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import State
-from mbd_ros.files.csv import read_table, write_table
+from mbd_ros.files.tables.csv import read_table, write_table
+from mbd_ros.parts.actuators.geared_motor import GearedMotor
+from mbd_ros.parts.actuators.ideal import Ideal
+from mbd_ros.parts.actuators.series_elastic import SeriesElastic
 from mbd_ros.scene.reader import load_scene
 
 URDF = SCENES.parent / "robots/pendulum.urdf"

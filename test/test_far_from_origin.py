@@ -10,15 +10,15 @@ import pytest
 from mechanisms import wrenches_of
 from systems import free_system
 
+from mbd_ros.applications.report.stability.scene_text import joint, link, robot
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
-from mbd_ros.integrators.dop853 import Dop853
-from mbd_ros.report.stability.scene_text import joint, link, robot
+from mbd_ros.parts.integrators.dop853 import Dop853
+from mbd_ros.parts.stabilization.none import NoStabilization
 from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.strict_yaml import read_mapping
-from mbd_ros.stabilization.none import NoStabilization
+from mbd_ros.scene.schema.strict_yaml import read_mapping
 
 CONFIG = Path(__file__).parents[1] / "config"
 STOPS = {"type": "joint_stop", "joints": ["all"], "lower": -0.1, "upper": 0.1}

@@ -10,16 +10,16 @@ import pytest
 from mechanisms import scene_of
 
 from mbd_ros.cli import main
-from mbd_ros.core.dynamics.sources import Sampled
 from mbd_ros.core.events.event_location import sign_change
 from mbd_ros.core.events.surface_modes import equivalent_signs, mode_on
+from mbd_ros.core.loads.input_sources import Sampled
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError, SolveError
-from mbd_ros.files.csv import read_table
-from mbd_ros.forces.switching_force import SwitchingForce
-from mbd_ros.integrators.filippov import Filippov
-from mbd_ros.scene import schema
+from mbd_ros.files.tables.csv import read_table
+from mbd_ros.parts.forces.switching_force import SwitchingForce
+from mbd_ros.parts.integrators.filippov import Filippov
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.schema import schema
 
 ROOT = Path(__file__).parents[1]
 SCENES = ROOT / "config/scenes"

@@ -5,13 +5,13 @@ import pytest
 from prediction_problems import joint, link, urdf
 
 import mbd_ros as mbd
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.sampled_kinematics import SampledKinematics, carriers
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.kinematics.sampled_kinematics import SampledKinematics, carriers
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.fitted_paths import with_fitted_paths
-from mbd_ros.scene.path_entries import path_of
-from mbd_ros.scene.smooth_muscles import with_smooth_muscles
+from mbd_ros.features.prediction.fitted_paths import with_fitted_paths
+from mbd_ros.features.prediction.smooth_muscles import with_smooth_muscles
+from mbd_ros.scene.reading.path_entries import path_of
 
 ARM = mbd.load_scene("smooth_muscle_arm").robot
 POLYNOMIAL = {

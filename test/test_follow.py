@@ -10,15 +10,15 @@ from scipy.linalg import solve_continuous_are
 
 from mbd_ros import load_scene
 from mbd_ros.cli import main
-from mbd_ros.controllers.trajectory_tracking import TrajectoryTracking
 from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.control.independent_slopes import IndependentSlopes
-from mbd_ros.core.control.riccati import riccati_backwards, riccati_steady
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, ModelError
+from mbd_ros.features.regulator.regulator import recorded
+from mbd_ros.features.regulator.riccati import riccati_backwards, riccati_steady
 from mbd_ros.files.plans import read_plan
 from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.jobs.follow.regulator import recorded
+from mbd_ros.parts.controllers.trajectory_tracking import TrajectoryTracking
 
 
 def motion_of(times, x, u, joints, inputs):

@@ -7,22 +7,22 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.coupling_functions import Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
-from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
-from mbd_ros.forces.applied_wrench import AppliedWrench
-from mbd_ros.forces.gear_friction import GearFriction
-from mbd_ros.forces.gravity_compensation import GravityCompensation
-from mbd_ros.forces.joint_friction import JointFriction
-from mbd_ros.forces.joint_spring import JointSpring
-from mbd_ros.forces.joint_torque import JointTorque
-from mbd_ros.forces.point_spring import PointSpring
-from mbd_ros.forces.prescribed_wrench import PrescribedWrench
-from mbd_ros.scene import schema
+from mbd_ros.parts.forces.applied_wrench import AppliedWrench
+from mbd_ros.parts.forces.gear_friction import GearFriction
+from mbd_ros.parts.forces.gravity_compensation import GravityCompensation
+from mbd_ros.parts.forces.joint_friction import JointFriction
+from mbd_ros.parts.forces.joint_spring import JointSpring
+from mbd_ros.parts.forces.joint_torque import JointTorque
+from mbd_ros.parts.forces.point_spring import PointSpring
+from mbd_ros.parts.forces.prescribed_wrench import PrescribedWrench
+from mbd_ros.scene.schema import schema
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 LEG = (ROBOTS / "prosthetic_leg.urdf").read_text(encoding="utf-8")

@@ -12,10 +12,10 @@ from installed_package import install
 
 from mbd_ros.errors import DataError
 from mbd_ros.files import formats
-from mbd_ros.files.bags import BagWriter, messages, topic_types
+from mbd_ros.files.bags.bags import BagWriter, messages, topic_types
 from mbd_ros.files.formats import read_result, write_result
-from mbd_ros.files.recordings import read_motion, read_wrenches
 from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.motion.recordings import read_motion, read_wrenches
 
 BAGS = ("bag", "bag.mcap", "bag.db3")
 EVERY = ("o.csv", "o.csv.gz", "o.npz", "o.parquet", "o.mot", "o.sto.gz", *BAGS)
@@ -293,7 +293,7 @@ def test_a_format_of_an_installed_package_needs_one_file(tmp_path):
         f"import sys; sys.path.insert(0, {str(target)!r})\n"
         "import numpy as np\n"
         "from mbd_ros.files.table import *; from mbd_ros.files.formats import *\n"
-        "from mbd_ros.files.recordings import read_motion\n"
+        "from mbd_ros.motion.recordings import read_motion\n"
         "place = Column('a.position', np.ones(3), 'rad')\n"
         "t = Table([Column('time', np.arange(3.0), 's'), place])\n"
         f"path = {str(tmp_path)!r} + '/o.jlines'\n"

@@ -13,10 +13,10 @@ from sensor_msgs.msg import JointState
 from simulator_plant import plant
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags import BagWriter, messages, topic_types
+from mbd_ros.features.inverse_dynamics.job import inverse
+from mbd_ros.features.simulation.job import simulate
+from mbd_ros.files.bags.bags import BagWriter, messages, topic_types
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.jobs.inverse.job import inverse
-from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.nodes.inverse_dynamics.whole_samples import MOST, WholeSamples
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.errors import MessageError

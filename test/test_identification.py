@@ -9,17 +9,17 @@ from identification_data import flown, fourier, moved, others, recording
 
 from mbd_ros.api import Scene
 from mbd_ros.cli import main
-from mbd_ros.core.identification.base_parameters import base_parameters, expressions
-from mbd_ros.core.identification.inertial_parameters import (
+from mbd_ros.core.model.inertial_parameters import (
     is_consistent,
     moving_bodies,
     parameters_of,
 )
-from mbd_ros.core.identification.regressor import Regressor, random_states
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.errors import DataError
-from mbd_ros.files.recordings import read_motion
-from mbd_ros.jobs.identify.job import identify
+from mbd_ros.features.identification.base_parameters import base_parameters, expressions
+from mbd_ros.features.identification.job import identify
+from mbd_ros.features.identification.regressor import Regressor, random_states
+from mbd_ros.motion.recordings import read_motion
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
 

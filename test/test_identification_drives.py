@@ -7,7 +7,7 @@ from identification_data import fourier, moved, others, recording
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.jobs.identify.job import identify
+from mbd_ros.features.identification.job import identify
 from mbd_ros.scene.from_python import scene_from
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")

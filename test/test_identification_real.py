@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.core.identification.inertial_parameters import is_consistent, parameters_of
-from mbd_ros.jobs.identify.job import identify
+from mbd_ros.core.model.inertial_parameters import is_consistent, parameters_of
+from mbd_ros.features.identification.job import identify
 from mbd_ros.scene.reader import load_scene
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from identification_data import moved
 
-from mbd_ros.jobs.identify.band import Filter, grid_step
-from mbd_ros.jobs.identify.learning import Search, learn
-from mbd_ros.jobs.identify.problem import Problem
-from mbd_ros.jobs.identify.task import Task
+from mbd_ros.features.identification.band import Filter, grid_step
+from mbd_ros.features.identification.problem import Problem
+from mbd_ros.features.identification.regression import Search, learn
+from mbd_ros.features.identification.task import Task
 from mbd_ros.scene.from_python import scene_from
 
 NOISE = np.array([0.3, 0.6, 0.3, 0.3, 0.1, 0.1, 0.03])  # N·m

@@ -11,19 +11,19 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 from systems import acceleration, free_system
 
+from mbd_ros.core.contracts.parts import Actuator, Channel
 from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Actuator, Channel
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError
-from mbd_ros.integrators.adams import Adams
-from mbd_ros.integrators.dop853 import Dop853
-from mbd_ros.integrators.dopri5 import _TABLEAU as DOPRI5
-from mbd_ros.integrators.dopri5 import Dopri5
-from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.integrators.semi_implicit_euler import SemiImplicitEuler
+from mbd_ros.parts.integrators.adams import Adams
+from mbd_ros.parts.integrators.dop853 import Dop853
+from mbd_ros.parts.integrators.dopri5 import _TABLEAU as DOPRI5
+from mbd_ros.parts.integrators.dopri5 import Dopri5
+from mbd_ros.parts.integrators.rk4 import Rk4
+from mbd_ros.parts.integrators.semi_implicit_euler import SemiImplicitEuler
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 TORSO = """<link name="world"><inertial><origin xyz="0.02 0 0.1"/><mass value="4"/><inertia

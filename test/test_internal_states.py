@@ -9,27 +9,27 @@ import pytest
 from scipy.integrate import simpson, solve_ivp
 from symbolic_numbers import Symbols
 
-from mbd_ros.actuators.series_elastic_drive import SeriesElasticDrive
-from mbd_ros.constraints.dry_friction import DryFriction
-from mbd_ros.core.dynamics.internals import Internals
-from mbd_ros.core.dynamics.sources import HeldTable
+from mbd_ros.core.contracts.parts import Actuator, Channel, Internal, Load, Part
 from mbd_ros.core.integration.nystrom_stages import NystromStages
 from mbd_ros.core.integration.runge_kutta import RungeKutta
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Actuator, Channel, Internal, Load, Part
-from mbd_ros.core.row_laws import box
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.loads.input_sources import HeldTable
+from mbd_ros.core.loads.internal_states import Internals
+from mbd_ros.core.multiplier_laws import box
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.simulation.stall import WINDOW, StallWatch
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError, SceneError, SolveError
+from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.table import Result, Table
-from mbd_ros.integrators.adams import Adams
-from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.jobs.simulate.job import simulate
+from mbd_ros.parts.actuators.series_elastic_drive import SeriesElasticDrive
+from mbd_ros.parts.constraints.dry_friction import DryFriction
+from mbd_ros.parts.integrators.adams import Adams
+from mbd_ros.parts.integrators.rk4 import Rk4
+from mbd_ros.parts.stabilization.none import NoStabilization
 from mbd_ros.scene.from_python import scene_from
-from mbd_ros.stabilization.none import NoStabilization
 
 DRIVE = {
     **{"type": "series_elastic_drive", "joint": "hinge", "name": "drive", "stiffness": 40.0},

@@ -5,7 +5,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import JointState
 
-from mbd_ros.files.bag_types import from_cdr, to_cdr
+from mbd_ros.files.bags.bag_types import from_cdr, to_cdr
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointStateReader, write_joint_state
 from msg_adapters.joint_state_cdr import FIELDS, JointStateCdrReader, JointStateCdrWriter

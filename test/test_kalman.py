@@ -9,14 +9,14 @@ import pytest
 import qpsolvers
 
 from mbd_ros.core.estimation.estimator import Measurement
-from mbd_ros.core.estimation.innovation_watch import InnovationWatch
 from mbd_ros.core.estimation.process import LinearProcess
 from mbd_ros.core.estimation.smoother import Filtered, smoothed
 from mbd_ros.core.optimization.row_bounded_qp import RowBoundedQp
 from mbd_ros.errors import ModelError, SolveError
-from mbd_ros.estimators.extended_kalman import ExtendedKalman
-from mbd_ros.estimators.kalman import Kalman
-from mbd_ros.estimators.moving_horizon import MovingHorizon
+from mbd_ros.features.estimation.innovation_watch import InnovationWatch
+from mbd_ros.parts.estimators.extended_kalman import ExtendedKalman
+from mbd_ros.parts.estimators.kalman import Kalman
+from mbd_ros.parts.estimators.moving_horizon import MovingHorizon
 
 A, G, C = np.array([[0.99, 0.2], [-0.1, 0.3]]), np.array([[0.0], [1.0]]), np.array([[1.0, -3.0]])
 Y = (

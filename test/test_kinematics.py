@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.errors import ModelError
 

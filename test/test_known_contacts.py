@@ -5,7 +5,7 @@ import pytest
 from mechanisms import joint, link, urdf
 
 import mbd_ros as mbd
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
 

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.outputs import Kind, Output
-from mbd_ros.core.parts import Load
+from mbd_ros.core.contracts.outputs import Kind, Output
+from mbd_ros.core.contracts.parts import Load
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
-from mbd_ros.nodes.simulator.contacts import contact_details, contacts_of
+from mbd_ros.nodes.shell.contact_topics import contact_details, contacts_of
 
 TICKS = 25
 

@@ -8,14 +8,14 @@ import pinocchio as pin
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.inverse.acting_wrenches import Named
-from mbd_ros.core.inverse.free_body import FreeBody
-from mbd_ros.core.inverse.free_body_balance import balance
-from mbd_ros.core.parts import Wrench
+from mbd_ros.core.contracts.parts import Wrench
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, MbdError, ModelError, SceneError
+from mbd_ros.features.loads.acting_wrenches import Named
+from mbd_ros.features.loads.free_body import FreeBody
+from mbd_ros.features.loads.free_body_balance import balance
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.scene.locate import embedded_scenes
+from mbd_ros.scene.schema.locate import embedded_scenes
 
 ROBOTS = {name for name in embedded_scenes() if not name.startswith("particles/")}
 MANY = {"benchmark/a02_four_bars_40", "benchmark/x06_chain"}

@@ -7,18 +7,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.control.chatter import ChatterMeter
-from mbd_ros.core.control.control_loop import ControlLoop
 from mbd_ros.core.control.delay_margin import LoopGains, pd_gains, sliding_gains, tolerable_delay
-from mbd_ros.core.control.delay_meter import DelayMeter
-from mbd_ros.core.control.guard import Guard
-from mbd_ros.core.control.loop_watch import LoopWatch, LossLimits, rest_responses
-from mbd_ros.core.control.reference_generator import ReferenceGenerator
 from mbd_ros.core.projection.observed_state import ObservedState
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.command_guard import Guard
+from mbd_ros.features.control.control_loop import ControlLoop
+from mbd_ros.features.control.delay_meter import DelayMeter
+from mbd_ros.features.control.loop_watch import LoopWatch, LossLimits, rest_responses
+from mbd_ros.features.control.reference_generator import ReferenceGenerator
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.registry import resolve
+from mbd_ros.scene.schema.registry import resolve
 
 SCENES = Path(__file__).parents[1] / "config/scenes"
 RAMP, BEGIN = 0.2, 0.9  # s

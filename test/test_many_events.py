@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
+from mbd_ros.core.contracts.parts import Guard, Load
 from mbd_ros.core.events.event import Event
 from mbd_ros.core.events.event_log import EventLog
-from mbd_ros.core.parts import Guard, Load
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.core.state import State

@@ -10,8 +10,8 @@ import pytest
 import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError, MbdError, SceneError
+from mbd_ros.features.markers.kinematics_task import CoordinateTask, KinematicsTask
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.scene.kinematics_task import CoordinateTask, KinematicsTask
 
 MARKERS = {
     "hip.1": ("residual_limb", [0.05, 0.0, -0.2]),

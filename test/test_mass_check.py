@@ -9,7 +9,7 @@ from mbd_ros.cli import main
 from mbd_ros.core.dynamics.mass_check import _least_resistance
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError, SolveError
-from mbd_ros.files.csv import read_table, write_table
+from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.scene.reader import load_scene
 
 JOINT = (

@@ -6,7 +6,7 @@ from scipy.special import i0e, i1e
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.core.ensembles.joint_space import JointSpace
+from mbd_ros.features.sampling.joint_space import JointSpace
 
 
 def profile_of(scene, **asked):

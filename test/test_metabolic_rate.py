@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from prediction_scenes import mass
 
-from mbd_ros.core.model.kinematics import Reads
+from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 

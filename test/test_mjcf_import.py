@@ -6,7 +6,7 @@ import pytest
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import State
 
 mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed: pip install mujoco")

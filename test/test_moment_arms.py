@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.path_batch import PathBatch
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.paths.sampled_paths import PathBatch
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.scene.path_search import state_paths
+from mbd_ros.scene.runs.path_search import state_paths
 
 ARM26, GAIT = "arm26_muscles", "gait10dof18musc_muscles"
 MODELS = {ARM26: "raw/arm26.osim.gz", GAIT: "raw/subject01.osim.gz"}

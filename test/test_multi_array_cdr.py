@@ -5,7 +5,7 @@ import pytest
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.files.bag_types import from_cdr, to_cdr
+from mbd_ros.files.bags.bag_types import from_cdr, to_cdr
 from msg_adapters.multi_array import read_multi_array
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 

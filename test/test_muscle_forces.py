@@ -44,7 +44,7 @@ def exerted(scene, table, names):
 
 
 def mbd_kinematics(scene):
-    from mbd_ros.core.model.kinematics import Kinematics
+    from mbd_ros.core.kinematics.kinematics import Kinematics
     from mbd_ros.core.state import State
 
     k = Kinematics(scene.robot)

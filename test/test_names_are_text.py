@@ -13,10 +13,10 @@ from xml.sax.saxutils import quoteattr
 import pytest
 
 from mbd_ros.api import load_scene
+from mbd_ros.applications.demo.page import Content
+from mbd_ros.applications.demo.page import page as demo_page
+from mbd_ros.applications.demo.summary import Table
 from mbd_ros.cli import main
-from mbd_ros.demo.page import Content
-from mbd_ros.demo.page import page as demo_page
-from mbd_ros.demo.summary import Table
 from mbd_ros.files.formats import read_result
 
 NAMES = ("<img src=x onerror=alert(1)>", "<_script><img src=x onerror=alert(2)>", "$\\frac{1$ _a_")

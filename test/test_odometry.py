@@ -5,7 +5,7 @@ import pytest
 from nav_msgs.msg import Odometry
 from rclpy.serialization import deserialize_message
 
-from mbd_ros.files.bag_types import from_cdr, to_cdr
+from mbd_ros.files.bags.bag_types import from_cdr, to_cdr
 from msg_adapters.errors import MessageError
 from msg_adapters.odometry import OdometryCdrWriter, read_odometry
 

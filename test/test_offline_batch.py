@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.files.bags import BagWriter, new_message
-from mbd_ros.files.csv import write_table
+from mbd_ros.files.bags.bags import BagWriter, new_message
+from mbd_ros.files.tables.csv import write_table
 from msg_adapters.joint_state import write_joint_state
 
 SCENE = Path(__file__).parents[1] / "config/scenes/prosthetic_arm.yaml"

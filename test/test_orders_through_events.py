@@ -8,8 +8,8 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbd_ros as mbd
-from mbd_ros.integrators.adams import Adams
-from mbd_ros.integrators.gauss_legendre import GaussLegendre
+from mbd_ros.parts.integrators.adams import Adams
+from mbd_ros.parts.integrators.gauss_legendre import GaussLegendre
 
 M1, M2, I1, I2, L1, C1, C2, G = 1.3, 0.8, 0.05, 0.02, 0.6, 0.3, 0.25, 9.81
 LOWER, E, FRICTION, SPAN = -0.35, 0.7, 0.35, 0.9  # s

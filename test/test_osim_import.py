@@ -9,7 +9,7 @@ import pytest
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import State
 from mbd_ros.files.table import Column, Result, Table
 

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.dynamics.sources import Sampled
+from mbd_ros.core.loads.input_sources import Sampled
 from mbd_ros.core.model import robot_reader
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import robot_entry
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.reading import robot_entry
 
 ROOT = Path(__file__).parents[1]
 ENTRIES = {

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 import pytest
 
 from mbd_ros.nodes.table import NODES
-from mbd_ros.scene.registry import PARTS, resolve
+from mbd_ros.scene.schema.registry import PARTS, resolve
 
 ROOT = Path(__file__).parents[1]
 PACKAGE = ElementTree.parse(ROOT / "package.xml").getroot()

@@ -12,25 +12,25 @@ import pinocchio as pin
 import pytest
 from standing_plan import standing
 
+from mbd_ros.core.contracts.parts import Part
 from mbd_ros.core.control.contract import EffortBox, Reference
-from mbd_ros.core.dynamics.sources import Sampled
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Part
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.loads.input_sources import Sampled
+from mbd_ros.core.multiplier_laws import Kind, Level
 from mbd_ros.core.ranges import described
-from mbd_ros.core.row_laws import Kind, Level
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import schema
-from mbd_ros.scene.building import Origin, Site
-from mbd_ros.scene.code_permission import permitting
-from mbd_ros.scene.contact_entries import with_shapes
-from mbd_ros.scene.docstrings import entries
+from mbd_ros.scene.describe.part_lines import part_lines
 from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.learned_entries import with_files
-from mbd_ros.scene.part_lines import part_lines
-from mbd_ros.scene.path_entries import with_paths
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.registry import PARTS, resolve
+from mbd_ros.scene.reading.building import Origin, Site
+from mbd_ros.scene.reading.contact_entries import with_shapes
+from mbd_ros.scene.reading.learned_entries import with_files
+from mbd_ros.scene.reading.path_entries import with_paths
+from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.code_permission import permitting
+from mbd_ros.scene.schema.docstrings import entries
+from mbd_ros.scene.schema.registry import PARTS, resolve
 
 OUTSIDE = parts_of_pages.OUTSIDE
 OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces", "muscles", "sensors")

@@ -2,11 +2,11 @@
 
 import pytest
 
+from mbd_ros.core.contracts.parts import Load
 from mbd_ros.core.names import type_name
-from mbd_ros.core.parts import Load
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.registry import PARTS, resolve
+from mbd_ros.scene.schema.registry import PARTS, resolve
 
 SPRING = {"type": "joint_spring", "joint": "ankle", "stiffness": 30.0}
 BAR = {"type": "distance", "frame_a": "world", "frame_b": "foot", "distance": 0.9}

@@ -10,8 +10,8 @@ from mbd_ros.core.particles.elastic import ElasticAngle, ElasticBond, Torsion
 from mbd_ros.core.particles.verlet_steps import ParticleVerlet
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError, SceneError
-from mbd_ros.scene.locate import embedded_scenes
 from mbd_ros.scene.reader import description_topic, load_scene
+from mbd_ros.scene.schema.locate import embedded_scenes
 
 SCENES = [name for name in embedded_scenes() if name.startswith("particles/")]
 # Benchmark problem P01, a particle on a unit sphere, mass 1 kg, g = 9.81 m/s^2, after 10 s:

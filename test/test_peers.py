@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
+from mbd_ros.applications.report.peers import kind as peers
+from mbd_ros.applications.report.peers.contenders import compete
+from mbd_ros.applications.report.peers.text import compose, ratio
+from mbd_ros.applications.report.peers.translation import common_ground, task_of
+from mbd_ros.applications.report.precision.converged import known, motion_of
+from mbd_ros.applications.report.precision.pareto import Point
+from mbd_ros.applications.report.precision.reference_problems import SCENES
 from mbd_ros.errors import DivergedError, SceneError
-from mbd_ros.report.peers import kind as peers
-from mbd_ros.report.peers.contenders import compete
-from mbd_ros.report.peers.text import compose, ratio
-from mbd_ros.report.peers.translation import common_ground, task_of
-from mbd_ros.report.precision.converged import known, motion_of
-from mbd_ros.report.precision.pareto import Point
-from mbd_ros.report.precision.reference_problems import SCENES
 from mbd_ros.scene.reader import load_scene
 
 needs_mujoco = pytest.mark.skipif(
@@ -240,8 +240,8 @@ def furthest(scene, run, times=TIMES):
 @pytest.mark.parametrize("base", ["fixed", "floating"])
 def test_peers_take_the_loads_of_a_scene_of_a_user(base):
     """Renamed, locked, tilted, continuous and prismatic joints; springs, dampers, drives."""
-    from mbd_ros.report.peers.drake_peer import DrakeRun
-    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+    from mbd_ros.applications.report.peers.drake_peer import DrakeRun
+    from mbd_ros.applications.report.peers.mujoco_peer import MujocoRun
 
     robot = ROBOT.replace("{urdf", f"{{base: {base}, urdf")
     scene = machine(robot + START + LOADS)
@@ -252,7 +252,7 @@ def test_peers_take_the_loads_of_a_scene_of_a_user(base):
 
 @needs_mujoco
 def test_mujoco_takes_links_without_mass():
-    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+    from mbd_ros.applications.report.peers.mujoco_peer import MujocoRun
 
     scene = load_scene("package://mbd_ros/config/scenes/prosthetic_arm.yaml")
     run = MujocoRun(task_of(common_ground(scene)), "mjINT_RK4", 2e-4, 1.0, True)
@@ -263,8 +263,8 @@ def test_mujoco_takes_links_without_mass():
 @needs_drake
 @pytest.mark.parametrize("kind", ["kind: point", "kind: full, orientation: [0, 0, 0]"])
 def test_peers_hold_a_free_robot(kind):
-    from mbd_ros.report.peers.drake_peer import DrakeRun
-    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+    from mbd_ros.applications.report.peers.drake_peer import DrakeRun
+    from mbd_ros.applications.report.peers.mujoco_peer import MujocoRun
 
     anchor = f"{{type: frame_anchor, frame: trunk, position: [0, 0, 0], {kind}}}"
     robot = ROBOT.replace("{urdf", "{base: floating, urdf")
@@ -278,8 +278,8 @@ def test_peers_hold_a_free_robot(kind):
 @needs_drake
 @pytest.mark.parametrize("rows", ROWS)
 def test_peers_take_the_rows_of_a_scene_of_a_user(rows):
-    from mbd_ros.report.peers.drake_peer import DrakeRun
-    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+    from mbd_ros.applications.report.peers.drake_peer import DrakeRun
+    from mbd_ros.applications.report.peers.mujoco_peer import MujocoRun
 
     scene = machine(f"{ROBOT}{rows}\n")
     told, (mujoco, drake) = task_of(common_ground(scene)), ROWS[rows]
@@ -333,7 +333,7 @@ def test_rows_that_no_peer_has_are_refused_by_name():
 )
 def test_mujoco_runs_the_same_scene(name, allowed):
     """Order 4 at 0.2 ms; constraints are as stiff as MuJoCo takes them."""
-    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+    from mbd_ros.applications.report.peers.mujoco_peer import MujocoRun
 
     assert off(name, MujocoRun(task(name), "mjINT_RK4", 2e-4, 1.0, True)) < allowed
 
@@ -341,7 +341,7 @@ def test_mujoco_runs_the_same_scene(name, allowed):
 @needs_mujoco
 def test_the_stiffest_constraints_that_mujoco_bears_are_tried():
     """A share of 0.34 diverges; 0.38 is closer than twice as soft ones."""
-    from mbd_ros.report.peers import mujoco_peer
+    from mbd_ros.applications.report.peers import mujoco_peer
 
     coupled = task("arm7_swing_coupled")
     shares = mujoco_peer._SHARES
@@ -353,7 +353,7 @@ def test_the_stiffest_constraints_that_mujoco_bears_are_tried():
 
 
 def mujoco_run(of, share):
-    from mbd_ros.report.peers.mujoco_peer import MujocoRun
+    from mbd_ros.applications.report.peers.mujoco_peer import MujocoRun
 
     return MujocoRun(of, "mjINT_RK4", 1e-3, share, True)
 
@@ -361,7 +361,7 @@ def mujoco_run(of, share):
 @needs_drake
 @pytest.mark.parametrize("fineness", [{"accuracy": 1e-9}, {"dt": 1e-3}])
 def test_drake_runs_the_same_scene(fineness):
-    from mbd_ros.report.peers.drake_peer import DrakeRun
+    from mbd_ros.applications.report.peers.drake_peer import DrakeRun
 
     run = DrakeRun(task("arm7_swing"), "runge_kutta5", **fineness)
     assert off("arm7_swing", run) < 1e-7
@@ -371,7 +371,7 @@ def test_drake_runs_the_same_scene(fineness):
 @needs_drake
 def test_fixed_steps_are_fixed():
     """Order 5: half the step is 32 times as precise, which error control would not be."""
-    from mbd_ros.report.peers.drake_peer import DrakeRun
+    from mbd_ros.applications.report.peers.drake_peer import DrakeRun
 
     arm = task("arm7_swing")
     coarse, fine = (off("arm7_swing", DrakeRun(arm, "runge_kutta5", dt=dt)) for dt in (0.01, 5e-3))
@@ -382,7 +382,7 @@ def test_fixed_steps_are_fixed():
 @pytest.mark.parametrize("index", [3, 2])
 @pytest.mark.parametrize("name", ["arm7_swing_coupled", "x02_four_bar_1e-2"])
 def test_exudyn_runs_the_same_scene_with_order_2(name, index):
-    from mbd_ros.report.peers.exudyn_peer import ExudynRun
+    from mbd_ros.applications.report.peers.exudyn_peer import ExudynRun
 
     coarse, fine = (off(name, ExudynRun(task(name), 1.0, dt, index)) for dt in (1e-3, 5e-4))
     assert coarse < 1e-4 and coarse / fine == pytest.approx(4.0, rel=0.1)
@@ -390,14 +390,14 @@ def test_exudyn_runs_the_same_scene_with_order_2(name, index):
 
 @needs_exudyn
 def test_exudyn_runs_a_scene_of_one_joint():
-    from mbd_ros.report.peers.exudyn_peer import ExudynRun
+    from mbd_ros.applications.report.peers.exudyn_peer import ExudynRun
 
     assert off("a01_pendulum", ExudynRun(task("a01_pendulum"), 1.0, 1e-3, 3)) < 1e-7
 
 
 @needs_exudyn
 def test_exudyn_takes_loads_of_a_scene_of_a_user_and_names_what_it_lacks():
-    from mbd_ros.report.peers.exudyn_peer import ExudynRun
+    from mbd_ros.applications.report.peers.exudyn_peer import ExudynRun
 
     loads = LOADS[: LOADS.index("- {type: point_spring")]
     scene = machine(ROBOT + START + loads)
@@ -412,7 +412,7 @@ def test_exudyn_takes_loads_of_a_scene_of_a_user_and_names_what_it_lacks():
 @needs_drake
 def test_drake_closes_loops_on_the_world():
     """Its discrete plant has order 1."""
-    from mbd_ros.report.peers.drake_peer import DrakeRun
+    from mbd_ros.applications.report.peers.drake_peer import DrakeRun
 
     assert off("x02_four_bar_1e-2", DrakeRun(task("x02_four_bar_1e-2"), "", dt=2e-4)) < 1e-3
 

@@ -8,7 +8,7 @@ from mechanisms import floating_body, joint, link, scene_of, urdf
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
 

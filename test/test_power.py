@@ -7,9 +7,9 @@ from scipy.interpolate import CubicSpline
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.files.csv import read_table
 from mbd_ros.files.power_flow import lanes_of
 from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.tables.csv import read_table
 
 SUMS = ("efforts", "couplings", "constraints", "contacts", "forces", "external_wrenches")
 SUMS += ("gravity", "unexplained")

@@ -6,20 +6,20 @@ import numpy as np
 import pytest
 from report_runs import RUNS, run_of
 
+from mbd_ros.applications.report.items import Item
+from mbd_ros.applications.report.left_out import kind as left_out
+from mbd_ros.applications.report.left_out.operations import operations
+from mbd_ros.applications.report.precision import kind as precision
+from mbd_ros.applications.report.precision.choices import Choice, compiles, formulations, snippet
+from mbd_ros.applications.report.precision.converged import known
+from mbd_ros.applications.report.precision.ladders import between
+from mbd_ros.applications.report.precision.pareto import Point, cheapest, cost_at, front
+from mbd_ros.applications.report.precision.rattle_check import approach
+from mbd_ros.applications.report.precision.reference_problems import PROBLEMS, SCENES
+from mbd_ros.applications.report.precision.text import brief, compose, power
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.report.items import Item
-from mbd_ros.report.left_out import kind as left_out
-from mbd_ros.report.left_out.operations import operations
-from mbd_ros.report.precision import kind as precision
-from mbd_ros.report.precision.choices import Choice, compiles, formulations, snippet
-from mbd_ros.report.precision.converged import known
-from mbd_ros.report.precision.ladders import between
-from mbd_ros.report.precision.pareto import Point, cheapest, cost_at, front
-from mbd_ros.report.precision.rattle_check import approach
-from mbd_ros.report.precision.reference_problems import PROBLEMS, SCENES
-from mbd_ros.report.precision.text import brief, compose, power
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.strict_yaml import read_mapping
+from mbd_ros.scene.schema.strict_yaml import read_mapping
 
 PENDULUM = f"{SCENES}/a01_pendulum_maximal.yaml"
 TIMES = (0.5, 1.0)

@@ -10,7 +10,7 @@ from prediction_scenes import EFFORT, drives, joint, link, urdf
 import mbd_ros as mbd
 from mbd_ros.core.state import State
 from mbd_ros.errors import NotConvergedError, SceneError
-from mbd_ros.scene.locate import find_task
+from mbd_ros.scene.schema.locate import find_task
 
 HOLDS = {"stance": {"contacts": ["sole"], "until": {"late": {"time": 10.0}}, "then": "stance"}}
 WEIGHT = 3.0 * 9.81

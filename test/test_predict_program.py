@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from prediction_scenes import biped, cart_pole, four_bar, hanging_muscle
 
-from mbd_ros.compiled.program.motion_program import MotionProgram
-from mbd_ros.jobs.predict.problem import problem_of
-from mbd_ros.scene.predict_task import predict_task
+from mbd_ros.features.prediction.problem import problem_of
+from mbd_ros.features.prediction.task import predict_task
+from mbd_ros.optimal_control.motion_program import MotionProgram
 
 STEP = 1.0e-4  # of unknowns in their usual sizes
 

@@ -4,27 +4,27 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.actuators.ideal import Ideal
-from mbd_ros.controllers.qp_tracking import QpTracking
-from mbd_ros.core.control.contract import EffortBox, Reference
-from mbd_ros.core.control.motion_limits import MotionLimits
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.model.joints import Joint
-from mbd_ros.core.rows.row_layout import rigid
-from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.core.state import State
-from mbd_ros.errors import ModelError, SolveError
-from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.report.bench.controllers import (
+from mbd_ros.applications.report.bench.controllers import (
     MECHANISMS,
     RATES,
     mechanism,
     situations,
     with_and_without_limits,
 )
+from mbd_ros.core.control.contract import EffortBox, Reference
+from mbd_ros.core.control.motion_limits import MotionLimits
+from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.loads.loads import Loads
+from mbd_ros.core.model.joints import Joint
+from mbd_ros.core.rows.row_layout import rigid
+from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.state import State
+from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.parts.actuators.ideal import Ideal
+from mbd_ros.parts.controllers.qp_tracking import QpTracking
+from mbd_ros.parts.integrators.rk4 import Rk4
+from mbd_ros.parts.stabilization.none import NoStabilization
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.stabilization.none import NoStabilization
 
 KP, KD = 100.0, 20.0
 NO_MEMORY = np.zeros(0)

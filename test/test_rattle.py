@@ -19,12 +19,12 @@ from row_systems import (
 from scipy.special import ellipj
 from systems import free_system
 
-from mbd_ros.core.parts import Load
+from mbd_ros.core.contracts.parts import Load
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError
-from mbd_ros.integrators.generalized_alpha import GeneralizedAlpha
-from mbd_ros.integrators.rattle import Rattle
-from mbd_ros.integrators.shake import Shake
+from mbd_ros.parts.integrators.generalized_alpha import GeneralizedAlpha
+from mbd_ros.parts.integrators.rattle import Rattle
+from mbd_ros.parts.integrators.shake import Shake
 
 # P01_SPHERE, RATTLE closed form: t = 10 s, q, v, largest energy error [J] on the way
 VECTORS = {

@@ -7,31 +7,31 @@ import pinocchio as pin
 import pytest
 from mechanisms import floating_body
 
-from mbd_ros.constraints.distance import Distance
-from mbd_ros.constraints.frame_anchor import FrameAnchor
-from mbd_ros.core.dynamics.external_wrench import ExternalWrench
-from mbd_ros.core.dynamics.loads import Loads
+from mbd_ros.core.contracts.parts import Wrench
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse.efforts import joint_efforts
-from mbd_ros.core.inverse.reactions import JointReactions
+from mbd_ros.core.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse_dynamics.efforts import joint_efforts
+from mbd_ros.core.inverse_dynamics.reactions import JointReactions
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.loads.external_wrench import ExternalWrench
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
-from mbd_ros.core.model.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import NONE, State
-from mbd_ros.forces.applied_wrench import AppliedWrench
-from mbd_ros.forces.gravity_compensation import GravityCompensation
-from mbd_ros.forces.joint_spring import JointSpring
-from mbd_ros.forces.point_spring import PointSpring
-from mbd_ros.forces.prescribed_wrench import PrescribedWrench
-from mbd_ros.scene import schema
-from mbd_ros.scene.learned_entries import with_files
-from mbd_ros.scene.path_entries import with_paths
+from mbd_ros.parts.constraints.distance import Distance
+from mbd_ros.parts.constraints.frame_anchor import FrameAnchor
+from mbd_ros.parts.forces.applied_wrench import AppliedWrench
+from mbd_ros.parts.forces.gravity_compensation import GravityCompensation
+from mbd_ros.parts.forces.joint_spring import JointSpring
+from mbd_ros.parts.forces.point_spring import PointSpring
+from mbd_ros.parts.forces.prescribed_wrench import PrescribedWrench
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.registry import PARTS, resolve
+from mbd_ros.scene.reading.learned_entries import with_files
+from mbd_ros.scene.reading.path_entries import with_paths
+from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.registry import PARTS, resolve
 
 CONFIG = Path(__file__).parents[1] / "config"
 

@@ -8,12 +8,12 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError, SceneError
-from mbd_ros.files.bags import raw_messages
+from mbd_ros.files.bags.bags import raw_messages
 from mbd_ros.files.table import Column, Table
-from mbd_ros.scene import renamed as names
-from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.renamed import RENAMED, renamed
+from mbd_ros.scene.schema import renamed as names
+from mbd_ros.scene.schema.code_permission import permitting
+from mbd_ros.scene.schema.renamed import RENAMED, renamed
 
 
 @pytest.fixture
@@ -42,7 +42,7 @@ def test_a_part_of_an_earlier_version_is_told_where_a_module_is_now(tmp_path, mo
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("mbd_ros.core.forward.loads", "mbd_ros.core.dynamics.loads"),
+        ("mbd_ros.core.forward.loads", "mbd_ros.core.loads.loads"),
         ("mbd_ros.core.forward.row_factor", "mbd_ros.core.rows.row_factor"),
     ],
 )

@@ -7,8 +7,8 @@ from html.parser import HTMLParser
 import pytest
 from report_runs import numbers, pendulum, ran, report, use_fake
 
-import mbd_ros.report.program as hashes
-from mbd_ros.report import items
+import mbd_ros.applications.report.program as hashes
+from mbd_ros.applications.report import items
 
 
 @pytest.fixture(autouse=True)

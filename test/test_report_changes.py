@@ -5,10 +5,10 @@ import json
 import pytest
 from report_runs import numbers, pendulum, ran, report, use_fake
 
-import mbd_ros.report.program as hashes
-from mbd_ros.report.items import Item
-from mbd_ros.report.store import Store
-from mbd_ros.workers.task import Result, cpu
+import mbd_ros.applications.report.program as hashes
+from mbd_ros.applications.report.items import Item
+from mbd_ros.applications.report.store import Store
+from mbd_ros.jobs.workers.task import Result, cpu
 
 TIMED = Item("fake", "timed", {"n": 1}, 1.0, True)
 DONE = Result({"n": 1}, "", 1.0, "here")
@@ -23,7 +23,7 @@ def fake(monkeypatch, tmp_path):
 
 
 def needed(kind):
-    return {path.stem for path in hashes._needed(f"mbd_ros.report.{kind}")}
+    return {path.stem for path in hashes._needed(f"mbd_ros.applications.report.{kind}")}
 
 
 def test_what_a_kind_loads_by_name_is_part_of_its_program():
@@ -33,17 +33,22 @@ def test_what_a_kind_loads_by_name_is_part_of_its_program():
 
 
 def test_a_change_in_a_module_that_is_loaded_by_name_changes_the_program(monkeypatch):
-    before, contents = hashes.program_now("mbd_ros.report.peers.kind"), hashes._contents
+    before, contents = (
+        hashes.program_now("mbd_ros.applications.report.peers.kind"),
+        hashes._contents,
+    )
 
     def edited(files):
         return [f"{line} edited" if "mujoco_peer" in line else line for line in contents(files)]
 
     monkeypatch.setattr(hashes, "_contents", edited)
-    assert hashes.program_now("mbd_ros.report.peers.kind") != before
+    assert hashes.program_now("mbd_ros.applications.report.peers.kind") != before
 
 
 def test_texts_that_only_look_like_modules_do_no_harm(tmp_path, monkeypatch):
-    text = "A, B = 'mbd_ros.report.nothing', 'mbd_ros.report.items.Item'\n"
+    text = (
+        "A, B = 'mbd_ros.applications.report.nothing', 'mbd_ros.applications.report.items.Item'\n"
+    )
     (tmp_path / "odd_part.py").write_text(text, encoding="utf-8")
     monkeypatch.syspath_prepend(tmp_path)
     assert [path.name for path in hashes._needed("odd_part")] == ["odd_part.py"]
@@ -115,12 +120,12 @@ def test_a_stored_time_of_another_processor_is_refused_whatever_its_file_is_call
 
 def test_workers_say_which_processor_times(tmp_path, monkeypatch):
     """Results of workers elsewhere are loaded again for them, and not for this machine."""
-    monkeypatch.setattr("mbd_ros.workers.processes.Processes.cpu", lambda _: "elsewhere")
+    monkeypatch.setattr("mbd_ros.jobs.workers.processes.Processes.cpu", lambda _: "elsewhere")
     assert report("-o", tmp_path / "out") == 0
-    monkeypatch.setattr("mbd_ros.workers.processes.Processes.cpu", lambda _: cpu())
+    monkeypatch.setattr("mbd_ros.jobs.workers.processes.Processes.cpu", lambda _: cpu())
     before = len(ran(tmp_path))
     assert report("-o", tmp_path / "out") == 0
     assert len(ran(tmp_path)) == before  # they ran here, whatever was said
-    monkeypatch.setattr("mbd_ros.workers.processes.Processes.cpu", lambda _: "elsewhere")
+    monkeypatch.setattr("mbd_ros.jobs.workers.processes.Processes.cpu", lambda _: "elsewhere")
     assert report("-o", tmp_path / "out") == 0
     assert sorted(ran(tmp_path)[before:]) == [5, 6]

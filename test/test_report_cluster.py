@@ -10,8 +10,8 @@ import pytest
 from report_runs import ran, use_fake
 
 from mbd_ros.cli import main
-from mbd_ros.workers.cluster import Cluster
-from mbd_ros.workers.task import Task, cpu
+from mbd_ros.jobs.workers.cluster import Cluster
+from mbd_ros.jobs.workers.task import Task, cpu
 
 distributed = pytest.importorskip("distributed", reason="pip install 'mbd_ros[dask]'")
 
@@ -65,7 +65,7 @@ def test_an_item_that_takes_every_worker_with_it_is_wrong(tmp_path, monkeypatch,
 
 
 def test_a_worker_with_other_sources_is_refused(tmp_path, monkeypatch, capsys, cluster):
-    monkeypatch.setattr("mbd_ros.report.work.program", lambda _: "0" * 64)
+    monkeypatch.setattr("mbd_ros.applications.report.work.program", lambda _: "0" * 64)
     words = ["report", "--quick", "--scheduler", cluster.scheduler_address]
     assert main([*words, "-o", str(tmp_path / "out")]) == 1
     assert "this worker has other sources" in capsys.readouterr().err
@@ -109,7 +109,7 @@ def test_without_dask_the_line_that_brings_it_is_said(tmp_path, monkeypatch, cap
 
 
 def test_an_address_without_an_answer_is_bad_input(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("mbd_ros.workers.cluster._CONNECT", 1.0)
+    monkeypatch.setattr("mbd_ros.jobs.workers.cluster._CONNECT", 1.0)
     words = ["report", "--scheduler", "tcp://127.0.0.1:9", "-o", str(tmp_path / "out")]
     assert main(words) == 2
     assert "--scheduler tcp://127.0.0.1:9" in capsys.readouterr().err

@@ -3,12 +3,12 @@
 import pytest
 from report_runs import numbers, pendulum, ran, report, use_fake
 
-from mbd_ros.report import items
-from mbd_ros.report.left_out import kind as left_out
-from mbd_ros.report.precision import kind as precision
-from mbd_ros.report.store import Store
-from mbd_ros.report.subjects import subjects
-from mbd_ros.report.work import collect
+from mbd_ros.applications.report import items
+from mbd_ros.applications.report.left_out import kind as left_out
+from mbd_ros.applications.report.precision import kind as precision
+from mbd_ros.applications.report.store import Store
+from mbd_ros.applications.report.subjects import subjects
+from mbd_ros.applications.report.work import collect
 
 
 @pytest.fixture
@@ -73,7 +73,7 @@ def test_what_the_system_refuses_while_saving_is_told(tmp_path, fake, monkeypatc
         raise PermissionError(13, "Permission denied")
 
     assert report("--quick", "-o", tmp_path / "out") == 0
-    monkeypatch.setattr("mbd_ros.report.store.replacing", refuse)
+    monkeypatch.setattr("mbd_ros.applications.report.store.replacing", refuse)
     assert report("-o", tmp_path / "out") == 2
     assert f"{tmp_path / 'out'}: cannot be written (Permission denied)" in capsys.readouterr().err
 

@@ -5,15 +5,15 @@ import sys
 
 import pytest
 
-from mbd_ros.report.compose import plain
-from mbd_ros.report.items import Section, Table
-from mbd_ros.report.page import page
-from mbd_ros.report.page_section import section_lines
-from mbd_ros.report.scene_pages import scene_pages
-from mbd_ros.report.subjects import Subject
-from mbd_ros.scene.locate import find_scene
-from mbd_ros.workers.remaining import Remaining, watched
-from mbd_ros.workers.task import Result, Task
+from mbd_ros.applications.report.compose import plain
+from mbd_ros.applications.report.items import Section, Table
+from mbd_ros.applications.report.page import page
+from mbd_ros.applications.report.page_section import section_lines
+from mbd_ros.applications.report.scene_pages import scene_pages
+from mbd_ros.applications.report.subjects import Subject
+from mbd_ros.jobs.workers.remaining import Remaining, watched
+from mbd_ros.jobs.workers.task import Result, Task
+from mbd_ros.scene.schema.locate import find_scene
 
 FACTS = {
     "date": "2026-01-02T03:04:05+00:00",

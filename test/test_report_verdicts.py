@@ -4,13 +4,13 @@ import json
 
 import pytest
 
-from mbd_ros.report.items import Item
-from mbd_ros.report.left_out import kind as left_out
-from mbd_ros.report.peers import kind as peers
-from mbd_ros.report.peers.text import compose
-from mbd_ros.report.precision import kind as precision
-from mbd_ros.report.precision.converged import known
-from mbd_ros.report.precision.reference_problems import SCENES
+from mbd_ros.applications.report.items import Item
+from mbd_ros.applications.report.left_out import kind as left_out
+from mbd_ros.applications.report.peers import kind as peers
+from mbd_ros.applications.report.peers.text import compose
+from mbd_ros.applications.report.precision import kind as precision
+from mbd_ros.applications.report.precision.converged import known
+from mbd_ros.applications.report.precision.reference_problems import SCENES
 
 PENDULUM = f"{SCENES}/a01_pendulum_maximal.yaml"
 
@@ -28,8 +28,8 @@ def rk4():
 
 def test_a_motion_that_no_second_method_computed_is_no_reference(rk4, monkeypatch):
     """With every second method gone the same item is wrong, and nothing is offered."""
-    monkeypatch.setattr("mbd_ros.report.precision.converged._SECOND", ())
-    monkeypatch.setattr("mbd_ros.report.precision.kind.known", known.__wrapped__)
+    monkeypatch.setattr("mbd_ros.applications.report.precision.converged._SECOND", ())
+    monkeypatch.setattr("mbd_ros.applications.report.precision.kind.known", known.__wrapped__)
     reference = precision_item("reference")
     outcome = json.loads(json.dumps(precision.run(reference.spec)))
     assert outcome["agreement"] is None and outcome["published"] < 1e-12

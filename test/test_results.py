@@ -11,12 +11,12 @@ import pytest
 from mbd_ros.cli import main
 from mbd_ros.core.state import Motion
 from mbd_ros.errors import DataError
+from mbd_ros.features.inverse_dynamics.job import inverse
+from mbd_ros.features.replay.torque_errors import TorqueErrors
+from mbd_ros.features.simulation.job import Interrupted, simulate
 from mbd_ros.files.formats import read_result, suffix_of
 from mbd_ros.files.table import Result
 from mbd_ros.files.times import rounded, stamps_of
-from mbd_ros.jobs.inverse.job import inverse
-from mbd_ros.jobs.simulate.job import Interrupted, simulate
-from mbd_ros.jobs.torque_errors import TorqueErrors
 from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]

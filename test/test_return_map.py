@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 from plain_walkers import rimless_wheel, simplest_walker
 
-from mbd_ros.core.gait.branch import DOUBLING
-from mbd_ros.core.gait.continuation import Continuation
-from mbd_ros.core.gait.differences import derivative
-from mbd_ros.core.gait.periodic import periodic_motion
-from mbd_ros.core.gait.return_map import ReturnMap, multipliers
-from mbd_ros.core.gait.saltation import crossing, reset_along, saltation, transition
-from mbd_ros.core.gait.travel import Travel
+from mbd_ros.core.sensitivities.differences import derivative
+from mbd_ros.core.sensitivities.saltation import crossing, reset_along, saltation, transition
+from mbd_ros.core.sensitivities.travel import Travel
 from mbd_ros.errors import FallError, SolveError
+from mbd_ros.features.gait.branch import DOUBLING
+from mbd_ros.features.gait.continuation import Continuation
+from mbd_ros.features.gait.periodic import periodic_motion
+from mbd_ros.features.gait.return_map import ReturnMap, multipliers
 
 # Fixed points in 80-bit arithmetic, beyond the digits of Garcia et al. 1998: slope, theta,
 # thetadot, phidot, period, multipliers.

@@ -7,7 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
+from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.errors import ModelError

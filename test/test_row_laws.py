@@ -8,19 +8,19 @@ import mechanisms
 import numpy as np
 import pytest
 
-from mbd_ros.constraints.dry_friction import DryFriction
-from mbd_ros.constraints.joint_stop import JointStop
-from mbd_ros.constraints.prescribed_motion import PrescribedMotion
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.row_laws import Kind, Level, bilateral, box, cone, drive, unilateral
+from mbd_ros.core.multiplier_laws import Kind, Level, bilateral, box, cone, drive, unilateral
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_layout import RowLayout, rigid
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.parts.constraints.dry_friction import DryFriction
+from mbd_ros.parts.constraints.joint_stop import JointStop
+from mbd_ros.parts.constraints.prescribed_motion import PrescribedMotion
 
 ROOT = Path(__file__).parents[1]
 CHAIN = read_robot(mechanisms.chain(3))
@@ -204,11 +204,11 @@ def test_multipliers_push_along_the_rows_or_beside_them():
 
 ASKING = ("getattr", "hasattr")
 OTHERS = (  # what unknowns of a program are limited to, and where a file begins and ends
-    "mbd_ros/compiled/program",
-    "mbd_ros/jobs/predict",
-    "mbd_ros/jobs/loads",
-    "mbd_ros/scene/predict_task.py",
-    "mbd_ros/scene/predict_phases.py",
+    "mbd_ros/optimal_control",
+    "mbd_ros/features/prediction",
+    "mbd_ros/features/loads",
+    "mbd_ros/features/prediction/task.py",
+    "mbd_ros/features/prediction/task_phases.py",
 )
 OPTIONS = {"batch", "task"}  # of `mbd-ros inverse --bounds`: whether, not which
 

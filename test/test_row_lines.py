@@ -8,7 +8,7 @@ import pytest
 import mbd_ros as mbd
 from mbd_ros.core.integration.linear_motion import fastest_rate
 from mbd_ros.core.state import State
-from mbd_ros.integrators.rk4 import Rk4
+from mbd_ros.parts.integrators.rk4 import Rk4
 
 PENDULUM = Path(__file__).parents[1] / "config/robots/pendulum.urdf"
 FRICTION = {"type": "dry_friction", "joint": "hinge", "limit": 0.3, "time_constant": 0.05}

@@ -8,12 +8,12 @@ import pytest
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.errors import DataError, SceneError
+from mbd_ros.features.markers.scale.job import scaled
+from mbd_ros.features.markers.scale.scaled_urdf import ScaledUrdf
+from mbd_ros.features.markers.scale_task import Measurement, ScaleTask
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.jobs.scale.job import scaled
-from mbd_ros.jobs.scale.scaled_urdf import ScaledUrdf
-from mbd_ros.scene.scale_task import Measurement, ScaleTask
 
 
 def places(scene, q):

@@ -9,9 +9,9 @@ import pytest
 from mbd_ros.core.model.urdf import MAX_CHARACTERS
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import description_topic, load_scene
-from mbd_ros.scene.sections import SECTIONS, keys
+from mbd_ros.scene.schema.code_permission import permitting
+from mbd_ros.scene.schema.sections import SECTIONS, keys
 
 ROOT = Path(__file__).parents[1]
 LEG = (ROOT / "config/robots/prosthetic_leg.urdf").read_text(encoding="utf-8")
@@ -242,7 +242,7 @@ def test_package_addresses_are_found(write, tmp_path, monkeypatch, prefix):
 
 OUTSIDE = """
 import numpy as np
-from mbd_ros.core.parts import Load
+from mbd_ros.core.contracts.parts import Load
 class Push(Load):
     def __init__(self, robot, *, size: float):
         self.tau = np.full(robot.model.nv, size)

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 from installed_package import install
 
+from mbd_ros.applications.report.peers.translation import common_ground
 from mbd_ros.cli import main
 from mbd_ros.errors import SceneError
-from mbd_ros.report.peers.translation import common_ground
-from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.registry import METHODS, PARTS
-from mbd_ros.scene.sections import SECTIONS, TASKS, Form, Section, keys, ordered
+from mbd_ros.scene.schema.code_permission import permitting
+from mbd_ros.scene.schema.registry import METHODS, PARTS
+from mbd_ros.scene.schema.sections import SECTIONS, TASKS, Form, Section, keys, ordered
 
 ROOT = Path(__file__).parents[1]
 URDF = ROOT / "config/robots/pendulum.urdf"
@@ -23,8 +23,8 @@ MODULE = '''
 
 import numpy as np
 
-from mbd_ros.core.parts import Load
-from mbd_ros.scene.sections import Form, Section
+from mbd_ros.core.contracts.parts import Load
+from mbd_ros.scene.schema.sections import Form, Section
 
 
 class Steady(Load):

@@ -5,18 +5,18 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros import load_scene, scene_from
-from mbd_ros.core.estimation.tracker import Tracker
-from mbd_ros.core.inverse.felt_reactions import FeltReactions
-from mbd_ros.core.model.rotations import (
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.inverse_dynamics.sensed_reactions import FeltReactions
+from mbd_ros.core.kinematics.rotations import (
     nearest_rotation_vector,
     quaternion_vector,
     vector_quaternion,
 )
-from mbd_ros.core.outputs import Now
 from mbd_ros.core.simulation.noisy_sensors import NoisySensors
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.jobs.estimate.estimation import estimation_of
-from mbd_ros.scene.estimate_task import EstimateTask
+from mbd_ros.features.estimation.estimation import estimation_of
+from mbd_ros.features.estimation.task import EstimateTask
+from mbd_ros.features.estimation.tracker import Tracker
 
 STEP = 0.002
 

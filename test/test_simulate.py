@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.files.bags import messages
-from mbd_ros.files.csv import read_table, write_table
-from mbd_ros.files.recordings import read_motion
-from mbd_ros.jobs.simulate.to_file import diverged_place
+from mbd_ros.features.simulation.to_file import diverged_place
+from mbd_ros.files.bags.bags import messages
+from mbd_ros.files.tables.csv import read_table, write_table
+from mbd_ros.motion.recordings import read_motion
 from mbd_ros.scene.reader import load_scene
 
 ROOT = Path(__file__).parents[1]

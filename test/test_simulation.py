@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
-from mbd_ros.core.dynamics.sources import HeldTable
 from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.loads.input_sources import HeldTable
 from mbd_ros.core.projection.assembly import violation
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError

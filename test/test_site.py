@@ -9,9 +9,9 @@ from urllib.parse import unquote
 
 import pytest
 
-from mbd_ros.jobs.completion.words import all_words
+from mbd_ros.features.completion.words import all_words
 from mbd_ros.nodes.table import NODES
-from mbd_ros.scene.registry import PARTS
+from mbd_ros.scene.schema.registry import PARTS
 
 pytestmark = pytest.mark.timeout(300)  # a build takes 15 s, but not beside others
 
@@ -79,7 +79,11 @@ def test_references_are_complete(site):
     assert {name.replace("_", "-") for name in NODES} <= site["node_reference.html"].ids
     assert "math" in site["theory.html"].tags
     assert set(all_words()) <= site["command_reference.html"].ids
-    interface = {"mbd_ros.api.load_scene", "mbd_ros.api.Scene.simulate", "mbd_ros.core.parts.Load"}
+    interface = {
+        "mbd_ros.api.load_scene",
+        "mbd_ros.api.Scene.simulate",
+        "mbd_ros.core.contracts.parts.Load",
+    }
     assert interface <= site["python_reference.html"].ids
 
 

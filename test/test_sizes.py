@@ -16,7 +16,7 @@ from mbd_ros import cli
 from mbd_ros.core.model.coupling_functions import natural_cubic_spline
 from mbd_ros.core.model.urdf import MAX_JOINTS
 from mbd_ros.errors import DataError
-from mbd_ros.files.csv import MAX_CELLS, read_table, write_table
+from mbd_ros.files.tables.csv import MAX_CELLS, read_table, write_table
 
 ROBOT = urdf.robot(random.Random(3), 3)
 JOINT = ROBOT.joints[0]
@@ -28,7 +28,7 @@ SPRING = {"type": "joint_spring", "joint": JOINT, "stiffness": 1.0}
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     """A function that writes a scene, and the words that check it."""
-    monkeypatch.setattr("mbd_ros.scene.call_costs.MEASURED", 0.0)
+    monkeypatch.setattr("mbd_ros.scene.describe.call_costs.MEASURED", 0.0)
     (tmp_path / "r.urdf").write_text(ROBOT.text)
 
     def write(text=None, **sections):
@@ -111,7 +111,7 @@ def test_columns_lines_and_numbers_of_a_table_have_limits(tmp_path, monkeypatch)
     wide.write_text("time,a\n" + "0" * 2_000_000)
     with pytest.raises(DataError, match="line 2 has more than 1000000 bytes"):
         read_table(wide)
-    monkeypatch.setattr("mbd_ros.files.csv.MAX_CELLS", 100_000)
+    monkeypatch.setattr("mbd_ros.files.tables.csv.MAX_CELLS", 100_000)
     write_table(wide, ["time", "a"], np.arange(120_000.0).reshape(-1, 2))
     with pytest.raises(DataError, match="more than 100000 numbers are not accepted"):
         read_table(wide)
@@ -127,7 +127,7 @@ def test_a_gzip_bomb_is_refused_from_its_first_lines(tmp_path, line):
         for _ in range(256):
             file.write(line * (2**20 // len(line)))
     told, peak = in_a_process(
-        "from mbd_ros.files.csv import read_table, DataError\n"
+        "from mbd_ros.files.tables.csv import read_table, DataError\n"
         f"try: read_table('{path}')\nexcept DataError as error: print(error)"
     )
     assert "line 2 has more than" in told or "line 3, column time" in told

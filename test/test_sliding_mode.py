@@ -7,16 +7,16 @@ import pytest
 from mechanisms import scaled, scene_of
 from scipy.integrate import solve_ivp
 
-from mbd_ros.controllers.computed_torque import ComputedTorque
-from mbd_ros.controllers.sliding_mode import SlidingMode
-from mbd_ros.controllers.super_twisting import SuperTwisting
-from mbd_ros.core.control.chatter import ChatterMeter
+from mbd_ros.core.contracts.parts import Load
 from mbd_ros.core.control.contract import EffortBox, Reference
-from mbd_ros.core.control.reaching import LAWS, ReachingLaw
+from mbd_ros.core.control.reaching_laws import LAWS, ReachingLaw
 from mbd_ros.core.control.sliding import mismatch, sliding_variable
-from mbd_ros.core.control.twisting import reaching_time_bound, super_twisting
-from mbd_ros.core.parts import Load
+from mbd_ros.core.control.super_twisting import reaching_time_bound, super_twisting
 from mbd_ros.core.state import State
+from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.parts.controllers.computed_torque import ComputedTorque
+from mbd_ros.parts.controllers.sliding_mode import SlidingMode
+from mbd_ros.parts.controllers.super_twisting import SuperTwisting
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 

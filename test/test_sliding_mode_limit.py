@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from mechanisms import scaled, scene_of
 
-from mbd_ros.controllers.sliding_mode import SlidingMode
+from mbd_ros.core.contracts.parts import Load
 from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.events.switching import DiscontinuousForce
-from mbd_ros.core.parts import Load
+from mbd_ros.parts.controllers.sliding_mode import SlidingMode
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 NOTHING, BANDWIDTH, OUTPUT, END = np.zeros(0), 10.0, 0.01, 1.0

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
+from mbd_ros.applications.report.contact.ours import scene_of
+from mbd_ros.applications.report.stability import contact_verdicts as verdicts
+from mbd_ros.applications.report.stability import kind
+from mbd_ros.applications.report.stability.cases import BOUNDED, CONVERGED, STOPPED, WRONG
+from mbd_ros.applications.report.stability.contact_rows import contact_rows
 from mbd_ros.errors import SolveError
-from mbd_ros.report.contact.ours import scene_of
-from mbd_ros.report.stability import contact_verdicts as verdicts
-from mbd_ros.report.stability import kind
-from mbd_ros.report.stability.cases import BOUNDED, CONVERGED, STOPPED, WRONG
-from mbd_ros.report.stability.contact_rows import contact_rows
 
 ROWS = {row.label: row for row in contact_rows(quick=False)}
 DROP = ROWS["ball from 100 m, e = 0.5"].problem

@@ -14,7 +14,7 @@ from mechanisms import scene_of
 from mbd_ros.cli import main
 from mbd_ros.core.simulation.stall import WINDOW, StallWatch
 from mbd_ros.errors import DivergedError
-from mbd_ros.files.recordings import read_motion
+from mbd_ros.motion.recordings import read_motion
 
 ROOT = Path(__file__).parents[1]
 PENDULUM = f"robot: {{urdf: {ROOT}/config/robots/pendulum.urdf}}\n"

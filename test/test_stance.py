@@ -8,9 +8,9 @@ from mechanisms import joint, link, urdf
 
 import mbd_ros as mbd
 from mbd_ros import read_result
-from mbd_ros.core.inverse.double_support import kept_force
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.motion.double_support import kept_force
 
 G = 9.81
 SIDES = {"left": 0.15, "right": -0.15}

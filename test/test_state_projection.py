@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.coupling_functions import Linear, Polynomial
 from mbd_ros.core.model.couplings import CoupledPair
 from mbd_ros.core.optimization.box_qp import Statistics
-from mbd_ros.core.optimization.complementarity import ComplementarityProblem
+from mbd_ros.core.optimization.lcp import ComplementarityProblem
 from mbd_ros.core.projection.coupled_joints import CoupledJoints
 from mbd_ros.core.projection.state_projection import Measurement, StateProjector
 from mbd_ros.core.rows.row_layout import rigid

@@ -5,7 +5,7 @@ import pytest
 from mechanisms import joint, link, urdf
 
 import mbd_ros as mbd
-from mbd_ros.core.geometry.contact_show import SLIP, STICK
+from mbd_ros.core.geometry.contact_outputs import SLIP, STICK
 
 G, HALF, ABOUT = 9.81, 0.5, 0.08  # m/s^2, m, kg·m^2: half the length of a rod, inertia across it
 

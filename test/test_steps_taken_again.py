@@ -8,15 +8,15 @@ from test_integrators import Mass, distance, label, robot_system, solved, start
 
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
-from mbd_ros.integrators.adams import Adams
-from mbd_ros.integrators.dop853 import Dop853
-from mbd_ros.integrators.dopri5 import Dopri5
-from mbd_ros.integrators.gauss_legendre import GaussLegendre
-from mbd_ros.integrators.generalized_alpha import GeneralizedAlpha
-from mbd_ros.integrators.rattle import Rattle
-from mbd_ros.integrators.rk4 import Rk4
-from mbd_ros.integrators.semi_implicit_euler import SemiImplicitEuler
-from mbd_ros.integrators.shake import Shake
+from mbd_ros.parts.integrators.adams import Adams
+from mbd_ros.parts.integrators.dop853 import Dop853
+from mbd_ros.parts.integrators.dopri5 import Dopri5
+from mbd_ros.parts.integrators.gauss_legendre import GaussLegendre
+from mbd_ros.parts.integrators.generalized_alpha import GeneralizedAlpha
+from mbd_ros.parts.integrators.rattle import Rattle
+from mbd_ros.parts.integrators.rk4 import Rk4
+from mbd_ros.parts.integrators.semi_implicit_euler import SemiImplicitEuler
+from mbd_ros.parts.integrators.shake import Shake
 
 GAUSS = [GaussLegendre(stages=k) for k in (1, 2, 3)]
 ONE_STEP = [Rk4(), Dopri5(), Dop853(), Dopri5(tolerance=1e-7), Dop853(tolerance=1e-7), *GAUSS]

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.integration import bouncing
+from mbd_ros.core.integration import spring_rebound as bouncing
 from mbd_ros.core.integration.contact_motion import ContactMotion, touching_motion
-from mbd_ros.core.integration.contact_window import windows
 from mbd_ros.core.integration.linear_motion import LinearMotion
 from mbd_ros.core.integration.spring_motion import SpringMotion
+from mbd_ros.core.integration.stiffness_window import windows
 from mbd_ros.errors import DivergedError
-from mbd_ros.scene.part_entries import build_part
+from mbd_ros.scene.reading.part_entries import build_part
 
 G, DT = 9.81, 1.0e-3
 EXPLICIT = {"type": "semi_implicit_euler"}

@@ -8,8 +8,8 @@ import pytest
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import read_result
-from mbd_ros.files.recordings import read_columns, read_motion
 from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.motion.recordings import read_columns, read_motion
 
 HEADER = "Coordinates\nversion=1\nnRows=3\nnColumns=3\ninDegrees={}\n\nUnits are S.I.\nendheader\n"
 ROWS = "0.0\t90.0\t0.5\n0.1\t45.0\t0.6\n  0.2   -30.0\t0.7\n\n"

@@ -7,7 +7,7 @@ import pytest
 import yaml
 
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.strict_yaml import MAX_BYTES, MAX_DEPTH, read_mapping, read_text
+from mbd_ros.scene.schema.strict_yaml import MAX_BYTES, MAX_DEPTH, read_mapping, read_text
 
 
 @pytest.fixture

@@ -8,18 +8,18 @@ import pytest
 from symbolic_numbers import Symbols
 
 from mbd_ros.compiled.symbols.scalar import column, number
-from mbd_ros.constraints.distance import Distance
-from mbd_ros.constraints.path_length import PathLength
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
-from mbd_ros.forces.cable import Cable
-from mbd_ros.forces.gear_friction import GearFriction
-from mbd_ros.forces.joint_friction import JointFriction
-from mbd_ros.forces.joint_spring import JointSpring
-from mbd_ros.forces.joint_torque import JointTorque
-from mbd_ros.forces.point_spring import PointSpring
-from mbd_ros.scene.path_entries import path_of
+from mbd_ros.parts.constraints.distance import Distance
+from mbd_ros.parts.constraints.path_length import PathLength
+from mbd_ros.parts.forces.cable import Cable
+from mbd_ros.parts.forces.gear_friction import GearFriction
+from mbd_ros.parts.forces.joint_friction import JointFriction
+from mbd_ros.parts.forces.joint_spring import JointSpring
+from mbd_ros.parts.forces.joint_torque import JointTorque
+from mbd_ros.parts.forces.point_spring import PointSpring
+from mbd_ros.scene.reading.path_entries import path_of
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 LEG, ARM = (

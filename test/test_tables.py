@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.csv import read_table, write_table
+from mbd_ros.files.tables.csv import read_table, write_table
 
 EDGE = [0.1, -0.0, 5e-324, 1.7976931348623157e308, 1 / 3, 1e22, -123456.789, 2**53 + 2.0]
 

@@ -7,7 +7,7 @@ from symbolic_numbers import Symbols
 from test_contact_pairs import BODIES, OTHERS, SMOOTH, random_states
 
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 
 EXACT = 1e-13  # of the largest entry: fractions of lengths, 100 m from the origin 1e-11
 SHAPES = SMOOTH | {

@@ -9,13 +9,13 @@ from test_part_contracts import NAMED, OF_A_ROBOT, arguments, moments, part_in
 
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
-from mbd_ros.core.outputs import Now
-from mbd_ros.core.parts import Load
-from mbd_ros.core.row_laws import Level
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts.sensor import Measures, Sensor
+from mbd_ros.core.multiplier_laws import Level
 from mbd_ros.core.rows.constraint import Constraint
-from mbd_ros.core.sensor import Measures, Sensor
 from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.registry import PARTS
+from mbd_ros.scene.schema.registry import PARTS
 
 EXACT = 1e-13  # of the largest entry, or of 1 where that is a difference of larger ones
 REFUSED = {  # part -> why

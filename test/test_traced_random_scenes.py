@@ -5,11 +5,11 @@ import pytest
 from complex_steps import slopes
 from test_traced_scenes import EXACT, called, conditions, states, tangent
 
+from mbd_ros.applications.report.stability.random_scenes import random_scene
+from mbd_ros.applications.report.stability.scene_text import load
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.thresholds import NEAR_TOGGLE
-from mbd_ros.report.stability.random_scenes import random_scene
-from mbd_ros.report.stability.scene_text import load
 
 BODY = {"shape": {"box": [0.1, 0.2, 0.3]}, "mass": 1.5, "pose": {"xyz": [0.4, -0.7, 1.1]}}
 ENDS = ("frame", "frame_a", "frame_b", "plane_frame")

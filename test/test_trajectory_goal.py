@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from mbd_ros.core.control.contract import Reference
-from mbd_ros.core.control.reference_limits import TargetError
-from mbd_ros.core.control.reference_map import ReferenceMap
-from mbd_ros.core.control.trajectory_goal import (
+from mbd_ros.features.control.reference_limits import TargetError
+from mbd_ros.features.control.reference_map import ReferenceMap
+from mbd_ros.features.control.trajectory_goal import (
     JointTolerance,
     ResultCode,
     Tolerances,

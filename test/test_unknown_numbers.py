@@ -5,11 +5,11 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros import load_scene, scene_from
-from mbd_ros.core.estimation.tracker import Tracker
 from mbd_ros.errors import SceneError
+from mbd_ros.features.estimation.estimation import estimation_of, made_ready
+from mbd_ros.features.estimation.task import EstimateTask
+from mbd_ros.features.estimation.tracker import Tracker
 from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.jobs.estimate.estimation import estimation_of, made_ready
-from mbd_ros.scene.estimate_task import EstimateTask
 
 STEP = 0.002
 

@@ -6,8 +6,8 @@ import pytest
 from mechanisms import joint, link, rod, scene_of, urdf
 from scipy.optimize import minimize
 
-from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse.efforts import joint_efforts
+from mbd_ros.core.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse_dynamics.efforts import joint_efforts
 from mbd_ros.core.projection.assembly import assemble, project, violation
 from mbd_ros.core.projection.state_projection import Measurement, StateProjector
 from mbd_ros.core.state import State

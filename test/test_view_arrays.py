@@ -6,10 +6,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.jobs.simulate.job import simulate
+from mbd_ros.features.simulation.job import simulate
 from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.locate import embedded_scenes
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.schema.locate import embedded_scenes
 from mbd_ros.view import surfaces
 from mbd_ros.view.arrows import arrow_ends, cone_lines
 from mbd_ros.view.contact_solids import solids_of_scene

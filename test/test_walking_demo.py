@@ -6,10 +6,10 @@ import sys
 import numpy as np
 import pytest
 
+from mbd_ros.applications.demo.walking import numbers as chain
+from mbd_ros.applications.demo.walking import run
+from mbd_ros.applications.demo.walking.task import JOINTS
 from mbd_ros.cli import main
-from mbd_ros.demo.walking import numbers as chain
-from mbd_ros.demo.walking import run
-from mbd_ros.demo.walking.task import JOINTS
 from mbd_ros.files.formats import read_result
 
 ROS = "rclpy", "rosbags", "std_msgs"
@@ -78,6 +78,6 @@ def test_times_and_laws_are_for_robots(tmp_path, capsys):
 
 
 def test_it_needs_no_ros():
-    code = f"import sys, mbd_ros.demo.walking.run; print([m for m in {ROS} if m in sys.modules])"
+    code = f"import sys, mbd_ros.applications.demo.walking.run; print([m for m in {ROS} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"

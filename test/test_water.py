@@ -9,7 +9,7 @@ from mbd_ros.compiled.particles.pair_kernel import CompiledKernel
 from mbd_ros.core.particles.cluster import Cluster
 from mbd_ros.core.particles.particle_system import ParticleSystem
 from mbd_ros.core.particles.settle import SettledCluster
-from mbd_ros.neighbours.tree import near_pairs
+from mbd_ros.scene.particles.neighbour_tree import near_pairs
 
 # Benchmark problem P02: rigid SPC/E water in angstrom, ps and amu.
 BEFORE = [

@@ -10,17 +10,17 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 import mbd_ros as mbd
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.wrapping.arcs import Placed
-from mbd_ros.core.model.wrapping.cylinder import Cylinder
-from mbd_ros.core.model.wrapping.ellipsoid import Ellipsoid
-from mbd_ros.core.model.wrapping.routes import Reach, Router
-from mbd_ros.core.model.wrapping.sphere import Sphere
-from mbd_ros.core.model.wrapping.taut import taut
-from mbd_ros.core.model.wrapping.torus import Torus
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.paths.wrapping.arcs import Placed
+from mbd_ros.core.paths.wrapping.cylinder import Cylinder
+from mbd_ros.core.paths.wrapping.ellipsoid import Ellipsoid
+from mbd_ros.core.paths.wrapping.routes import Reach, Router
+from mbd_ros.core.paths.wrapping.sphere import Sphere
+from mbd_ros.core.paths.wrapping.taut import taut
+from mbd_ros.core.paths.wrapping.torus import Torus
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.path_entries import path_of
+from mbd_ros.scene.reading.path_entries import path_of
 
 ARM = mbd.load_scene("arm7").robot
 POINTS = [

@@ -12,15 +12,15 @@ from scipy.linalg import solveh_banded
 from test_offline import SCENES
 
 from mbd_ros.cli import main
+from mbd_ros.core.signals.banded import Banded
+from mbd_ros.core.signals.nested_splines import joined, parted
+from mbd_ros.core.signals.spectrum import spectrum
+from mbd_ros.core.signals.spline_basis import CellBasis
 from mbd_ros.errors import DataError
-from mbd_ros.files.csv import read_table, write_table
-from mbd_ros.files.spool import Spool, StampSpool
-from mbd_ros.jobs.inverse.banded import Banded
-from mbd_ros.jobs.inverse.cell_basis import CellBasis
-from mbd_ros.jobs.inverse.long_stamps import Windows
-from mbd_ros.jobs.inverse.nested_splines import joined, parted
-from mbd_ros.jobs.inverse.spectrum import spectrum
-from mbd_ros.jobs.inverse.zero_phase import chosen_cutoffs, low_passed, smoothed, zero_phase
+from mbd_ros.files.bags.spool import Spool, StampSpool
+from mbd_ros.files.tables.csv import read_table, write_table
+from mbd_ros.motion.long_stamps import Windows
+from mbd_ros.motion.zero_phase import chosen_cutoffs, low_passed, smoothed, zero_phase
 
 SECOND = 1_000_000_000
 TURN = 2 * np.pi
@@ -292,8 +292,8 @@ def test_windows_of_a_long_recording_are_smoothed_as_the_whole(monkeypatch, rate
     x, v = x + noise[0], v + noise[1]
     v[:, 1:] = np.nan
     whole = zero_phase(stamps_of(t), x, v)
-    monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._WINDOW", 8 * rate)
-    monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._BESIDE", 100)
+    monkeypatch.setattr("mbd_ros.motion.long_stamps._WINDOW", 8 * rate)
+    monkeypatch.setattr("mbd_ros.motion.long_stamps._BESIDE", 100)
     found = zero_phase(stamps_of(t), x, v)
     assert (found.cutoff == whole.cutoff).all() and np.isfinite(whole.cutoff).any()
     for ours, theirs in zip(found[:3], whole[:3], strict=True):
@@ -392,9 +392,9 @@ def test_density_of_white_noise_below_a_motion_of_which_it_is_a_trillionth():
 @pytest.mark.parametrize("few", [0, 3000, 20_000, 2**24])
 def test_stamps_in_a_file_are_as_good_as_in_memory(tmp_path, monkeypatch, few):
     """All, most, some or none of the 48 kB of stamps are in a file."""
-    monkeypatch.setattr("mbd_ros.files.spool._IN_MEMORY", few)
-    monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._TELLING", 1024)
-    monkeypatch.setattr("mbd_ros.jobs.inverse.long_stamps._WINDOW", 1500)
+    monkeypatch.setattr("mbd_ros.files.bags.spool._IN_MEMORY", few)
+    monkeypatch.setattr("mbd_ros.motion.long_stamps._TELLING", 1024)
+    monkeypatch.setattr("mbd_ros.motion.long_stamps._WINDOW", 1500)
     rng = np.random.default_rng(4)
     t = np.arange(0, 12, 2e-3) + rng.uniform(0, 5e-4, 6000)
     t[3500:] += 3.0

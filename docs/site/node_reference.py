@@ -13,8 +13,8 @@ from docstrings import body, summary
 from tables import code, table
 
 from mbd_ros.jobs.domain_claim import claimed_domain
-from mbd_ros.nodes.params_file import meaning
 from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter
+from mbd_ros.nodes.shell.params_file import meaning
 from mbd_ros.nodes.table import NODES
 
 PARAMETER_FILES = Path(__file__).parents[2] / "config/nodes"

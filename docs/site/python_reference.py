@@ -3,10 +3,17 @@
 import mbd_ros
 
 CONTRACTS = {
-    "Parts": ("mbd_ros.core.parts", "mbd_ros.core.sensor", "mbd_ros.core.rows.constraint"),
-    "Laws of multipliers": ("mbd_ros.core.row_laws",),
+    "Parts": (
+        "mbd_ros.core.contracts.parts",
+        "mbd_ros.core.contracts.sensor",
+        "mbd_ros.core.rows.constraint",
+    ),
+    "Laws of multipliers": ("mbd_ros.core.multiplier_laws",),
     "Values": ("mbd_ros.core.state",),
-    "What parts ask and show": ("mbd_ros.core.model.kinematics", "mbd_ros.core.outputs"),
+    "What parts ask and show": (
+        "mbd_ros.core.kinematics.kinematics",
+        "mbd_ros.core.contracts.outputs",
+    ),
     "Control laws": ("mbd_ros.core.control.contract",),
     "Ranges and units of arguments": ("mbd_ros.core.ranges",),
     "Errors": ("mbd_ros.errors",),

@@ -3,7 +3,7 @@
 from pathlib import Path, PurePosixPath
 
 from mbd_ros.errors import DataError, SceneError
-from mbd_ros.scene.strict_yaml import read_mapping
+from mbd_ros.scene.schema.strict_yaml import read_mapping
 
 SUFFIXES = (".mcap", ".db3")
 MARK = ("written_by", "mbd_ros")

@@ -19,13 +19,13 @@ FOLDER = ""  # suffix of a bag that is a folder
 BAGS = (FOLDER, ".mcap", ".db3")
 STORAGES = (".mot", ".mot.gz", ".sto", ".sto.gz")
 FORMATS = {  # suffix -> class; of two suffixes that fit the longer one counts
-    **dict.fromkeys((".csv", ".csv.gz"), "mbd_ros.files.csv:Csv"),
-    **dict.fromkeys(BAGS, "mbd_ros.files.bag:Bag"),
-    ".npz": "mbd_ros.files.npz:Npz",
-    ".parquet": "mbd_ros.files.parquet:Parquet",
-    **dict.fromkeys(STORAGES, "mbd_ros.files.storage:Storage"),
-    **dict.fromkeys((".trc", ".trc.gz"), "mbd_ros.files.trc:Trc"),
-    ".c3d": "mbd_ros.files.c3d:C3d",
+    **dict.fromkeys((".csv", ".csv.gz"), "mbd_ros.files.tables.csv:Csv"),
+    **dict.fromkeys(BAGS, "mbd_ros.files.bags.bag:Bag"),
+    ".npz": "mbd_ros.files.tables.npz:Npz",
+    ".parquet": "mbd_ros.files.tables.parquet:Parquet",
+    **dict.fromkeys(STORAGES, "mbd_ros.files.laboratory.storage:Storage"),
+    **dict.fromkeys((".trc", ".trc.gz"), "mbd_ros.files.laboratory.trc:Trc"),
+    ".c3d": "mbd_ros.files.laboratory.c3d:C3d",
     **dict.fromkeys((".png", ".svg", ".pdf"), "mbd_ros.files.plot:Plot"),
 }
 PICTURES = (".png", ".svg", ".pdf")

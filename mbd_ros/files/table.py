@@ -108,7 +108,7 @@ class Table(Mapping[str, NDArray[Any]]):
         try:
             return self._at[name]
         except KeyError:
-            from mbd_ros.scene.renamed import renamed  # here, since it serves errors only
+            from mbd_ros.scene.schema.renamed import renamed  # here, since it serves errors only
 
             hint = f"{renamed('column', name, self)}; there are: {_some(list(self))}"
             raise MissingColumnError(f"no column {name}{hint}") from None

@@ -2,7 +2,7 @@
 
 import argparse
 
-from mbd_ros.scene.locate import scene_word
+from mbd_ros.scene.schema.locate import scene_word
 
 _ALLOW_CODE = "import the package.module:Class that a scene names; `check` lists them"
 

@@ -6,10 +6,10 @@ from pathlib import Path
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.jobs.lines import Say
-from mbd_ros.scene.code_permission import permitting
-from mbd_ros.workers.opening import do_all, open_workers
-from mbd_ros.workers.remaining import watched
-from mbd_ros.workers.task import Task
+from mbd_ros.jobs.workers.opening import do_all, open_workers
+from mbd_ros.jobs.workers.remaining import watched
+from mbd_ros.jobs.workers.task import Task
+from mbd_ros.scene.schema.code_permission import permitting
 
 Outcome = tuple[list[str], str]
 

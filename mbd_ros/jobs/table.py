@@ -44,75 +44,90 @@ class CommandModule(Protocol):
 
 
 COMMANDS: Mapping[str, Command] = {
-    "check": Command("mbd_ros.jobs.check", "what a scene builds, leaves out and costs"),
-    "scenes": Command("mbd_ros.jobs.scenes", "the embedded scenes, with a line each"),
-    "inverse": Command("mbd_ros.jobs.inverse.command", "torques and coupling forces of a motion"),
+    "check": Command("mbd_ros.features.scenes.check", "what a scene builds, leaves out and costs"),
+    "scenes": Command("mbd_ros.features.scenes.scenes", "the embedded scenes, with a line each"),
+    "inverse": Command(
+        "mbd_ros.features.inverse_dynamics.command", "torques and coupling forces of a motion"
+    ),
     "simulate": Command(
-        "mbd_ros.jobs.simulate.command", "motion from forces, with constraint forces"
+        "mbd_ros.features.simulation.command", "motion from forces, with constraint forces"
     ),
     "scale": Command(
-        "mbd_ros.jobs.scale.command", "a scene of a person's size, from a static trial"
+        "mbd_ros.features.markers.scale.command", "a scene of a person's size, from a static trial"
     ),
     "kinematics": Command(
-        "mbd_ros.jobs.kinematics.command", "motion of all joints from recorded markers"
+        "mbd_ros.features.markers.command", "motion of all joints from recorded markers"
     ),
     "loads": Command(
-        "mbd_ros.jobs.loads.command", "loads on one body of a motion, for finite elements"
+        "mbd_ros.features.loads.command", "loads on one body of a motion, for finite elements"
     ),
     "moment-arms": Command(
-        "mbd_ros.jobs.moment_arms.command", "lengths, speeds and moment arms of paths in a motion"
+        "mbd_ros.features.muscles.moment_arms.command",
+        "lengths, speeds and moment arms of paths in a motion",
     ),
     "muscles": Command(
-        "mbd_ros.jobs.muscles.command", "forces of muscles and loads of joints of a motion"
+        "mbd_ros.features.muscles.command", "forces of muscles and loads of joints of a motion"
     ),
     "identify": Command(
-        "mbd_ros.jobs.identify.command", "inertias and friction from motion and measured efforts"
+        "mbd_ros.features.identification.command",
+        "inertias and friction from motion and measured efforts",
     ),
     "learn": Command(
-        "mbd_ros.jobs.learn.command", "a network for what physics leaves of measured torques"
+        "mbd_ros.features.identification.learn.command",
+        "a network for what physics leaves of measured torques",
     ),
     "estimate": Command(
-        "mbd_ros.jobs.estimate.command", "motion of all joints from noisy and partial recordings"
+        "mbd_ros.features.estimation.command",
+        "motion of all joints from noisy and partial recordings",
     ),
     "excite": Command(
-        "mbd_ros.jobs.excite.command", "a trajectory that shows masses, within all limits"
+        "mbd_ros.features.identification.excite.command",
+        "a trajectory that shows masses, within all limits",
     ),
     "payload": Command(
-        "mbd_ros.jobs.payload.command", "mass, centre and inertia of what a gripper holds"
+        "mbd_ros.features.identification.payload.command",
+        "mass, centre and inertia of what a gripper holds",
     ),
     "gait": Command(
-        "mbd_ros.jobs.gait.command", "periodic walking: multipliers, branches, basin of attraction"
+        "mbd_ros.features.gait.command",
+        "periodic walking: multipliers, branches, basin of attraction",
     ),
     "follow": Command(
-        "mbd_ros.jobs.follow.command", "gains that lead a robot back to a motion, and how far off"
+        "mbd_ros.features.regulator.command",
+        "gains that lead a robot back to a motion, and how far off",
     ),
     "predict": Command(
-        "mbd_ros.jobs.predict.command", "the motion that costs least, by optimal control"
+        "mbd_ros.features.prediction.command", "the motion that costs least, by optimal control"
     ),
     "bracket": Command(
-        "mbd_ros.jobs.bracket.command", "Dirac brackets of coordinates and momenta on the rows"
+        "mbd_ros.features.dirac_brackets.command",
+        "Dirac brackets of coordinates and momenta on the rows",
     ),
     "sample": Command(
-        "mbd_ros.jobs.sample.command", "configurations at a temperature; mean forces along them"
+        "mbd_ros.features.sampling.command",
+        "configurations at a temperature; mean forces along them",
     ),
     "replay": Command(
-        "mbd_ros.jobs.replay.command", "a bag through the live node, with an error table"
+        "mbd_ros.features.replay.command", "a bag through the live node, with an error table"
     ),
     "import-opensim": Command(
-        "mbd_ros.jobs.import_opensim.command", "a model of OpenSim as a URDF and a scene"
+        "mbd_ros.features.model_import.command", "a model of OpenSim as a URDF and a scene"
     ),
     "import-mjcf": Command(
-        "mbd_ros.jobs.import_opensim.command", "a model of MuJoCo as a URDF and a scene"
+        "mbd_ros.features.model_import.command", "a model of MuJoCo as a URDF and a scene"
     ),
     "params": Command("mbd_ros.nodes.command", "a parameter file of a node, with comments"),
-    "plot": Command("mbd_ros.jobs.plot.command", "a picture of a result"),
+    "plot": Command("mbd_ros.features.plot.command", "a picture of a result"),
     "view": Command("mbd_ros.view.command", "a scene and its motion in a browser"),
-    "demo": Command("mbd_ros.demo.command", "a simulated robot, controlled over topics: one page"),
+    "demo": Command(
+        "mbd_ros.applications.demo.command", "a simulated robot, controlled over topics: one page"
+    ),
     "report": Command(
-        "mbd_ros.report.command", "error against run time, stability and cost, on one page"
+        "mbd_ros.applications.report.command",
+        "error against run time, stability and cost, on one page",
     ),
     "completion": Command(
-        "mbd_ros.jobs.completion.command", "a script that completes words in a shell"
+        "mbd_ros.features.completion.command", "a script that completes words in a shell"
     ),
 }
 
@@ -133,8 +148,8 @@ def command_module(name: str) -> CommandModule:
         return import_module(COMMANDS[name].module)
     points = added_commands()
     if name not in points:
-        from mbd_ros.scene.nearest import nearest  # here, since they serve errors only
-        from mbd_ros.scene.renamed import renamed
+        from mbd_ros.scene.schema.nearest import nearest  # here, since they serve errors only
+        from mbd_ros.scene.schema.renamed import renamed
 
         close = nearest(name, [*COMMANDS, *points], 1)
         hint = f"the nearest is '{close[0]}', " if close else ""
@@ -144,7 +159,7 @@ def command_module(name: str) -> CommandModule:
     try:
         module = points[name].load()
     except (ImportError, SyntaxError, AttributeError) as error:
-        from mbd_ros.scene.renamed import renamed
+        from mbd_ros.scene.schema.renamed import renamed
 
         hint = renamed("module", str(getattr(error, "name", "")))
         raise CommandError(f"{where} cannot be imported: {error}{hint}") from error

@@ -15,8 +15,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Print the parameter file of a node; the exit code."""
-    from mbd_ros.nodes.params_file import lines
     from mbd_ros.nodes.shell.parameters import PARAMETERS
+    from mbd_ros.nodes.shell.params_file import lines
 
     module, _, name = NODES[arguments.node].partition(":")
     node = getattr(import_module(module), name)

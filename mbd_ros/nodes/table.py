@@ -1,11 +1,11 @@
 """The nodes of this package, a line each; `setup.py` makes an executable of every line."""
 
 NODES = {
-    "digital_twin": "mbd_ros.nodes.digital_twin.node:DigitalTwinNode",
+    "digital_twin": "mbd_ros.nodes.state_estimator.digital_twin.node:DigitalTwinNode",
     "inverse_dynamics": "mbd_ros.nodes.inverse_dynamics.node:InverseDynamicsNode",
     "joint_state_projector": "mbd_ros.nodes.joint_state_projector.node:JointStateProjectorNode",
     "marker_kinematics": "mbd_ros.nodes.marker_kinematics.node:MarkerKinematicsNode",
-    "muscle_forces": "mbd_ros.nodes.muscle_forces.node:MuscleForcesNode",
+    "muscle_forces": "mbd_ros.nodes.inverse_dynamics.muscle_forces.node:MuscleForcesNode",
     "payload_estimator": "mbd_ros.nodes.payload_estimator.node:PayloadEstimatorNode",
     "qp_controller": "mbd_ros.nodes.controller.qp:QpControllerNode",
     "reference_player": "mbd_ros.nodes.reference_player.node:ReferencePlayer",

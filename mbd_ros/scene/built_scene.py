@@ -4,22 +4,22 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.dynamics.sources import Source
+from mbd_ros.core.contracts.parts import Load
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.parts import Load
+from mbd_ros.core.loads.input_sources import Source
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.scene import schema
-from mbd_ros.scene.building import parts_in
 from mbd_ros.scene.measured_scene import MeasuredScene
-from mbd_ros.scene.part_entries import Solver, build_part
+from mbd_ros.scene.reading.building import parts_in
+from mbd_ros.scene.reading.part_entries import Solver, build_part
+from mbd_ros.scene.schema import schema
 
 if TYPE_CHECKING:
     from mbd_ros.core.dynamics.phased_system import PhasedSystem
-    from mbd_ros.scene.batch import Batch
+    from mbd_ros.scene.runs.batch import Batch
 
 DEFAULT_INTEGRATOR = {"type": "dopri5"}
 DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
@@ -45,7 +45,7 @@ class Scene(MeasuredScene):
             SceneError: Names key, what is wrong and what is accepted.
         """
         from mbd_ros.scene.from_python import with_sections
-        from mbd_ros.scene.other_numbers import with_numbers
+        from mbd_ros.scene.numbers import with_numbers
 
         scene = with_sections(self, sections) if sections or not numbers else self
         return with_numbers(scene, numbers) if numbers else scene
@@ -66,7 +66,7 @@ class Scene(MeasuredScene):
         Raises:
             MbdError: The scene has no consistent start.
         """
-        from mbd_ros.scene.check import describe
+        from mbd_ros.scene.describe.check import describe
 
         return "\n".join(describe(self))
 
@@ -124,7 +124,7 @@ class Scene(MeasuredScene):
         sources: Mapping[str, Source] = _NO_SOURCES,
     ) -> "PhasedSystem":
         """The systems of all phases, behind one; arguments and errors as for `system`."""
-        from mbd_ros.scene.phased_systems import phased_system
+        from mbd_ros.scene.phases.phased_systems import phased_system
 
         return phased_system(self, self._loads(forces, sources), self.chosen_solver(solver))
 
@@ -150,7 +150,7 @@ class Scene(MeasuredScene):
         Raises:
             SceneError: Names what is wrong and what is accepted.
         """
-        from mbd_ros.scene.batch import Batch
+        from mbd_ros.scene.runs.batch import Batch
 
         return Batch(self, count, **options)
 
@@ -219,7 +219,7 @@ class Scene(MeasuredScene):
                 if chosen.compiles:
                     simulation.how = "not compiled: phases change what holds"
                 return simulation
-            from mbd_ros.scene.compiling import compiled_simulation, kept_for
+            from mbd_ros.scene.runs.compiling import compiled_simulation, kept_for
 
             kept = None if forces else kept_for(self, chosen.backend)
             wish = {"start": self.initial, "is_demanded": chosen.must_compile}

@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.scene.building import NO_FILE, Kept, Origin
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.code_permission import code_of_others, is_permitted, permitting
-from mbd_ros.scene.locate import find_file
-from mbd_ros.scene.nearest import nearest
 from mbd_ros.scene.reader import build_scene
-from mbd_ros.scene.sections import keys, ordered
-from mbd_ros.scene.strict_yaml import MAX_DEPTH
+from mbd_ros.scene.reading.building import NO_FILE, Kept, Origin
+from mbd_ros.scene.schema.code_permission import code_of_others, is_permitted, permitting
+from mbd_ros.scene.schema.locate import find_file
+from mbd_ros.scene.schema.nearest import nearest
+from mbd_ros.scene.schema.sections import keys, ordered
+from mbd_ros.scene.schema.strict_yaml import MAX_DEPTH
 
 _LARGEST_INTEGER = 10**18  # what a scene file takes for a number
 

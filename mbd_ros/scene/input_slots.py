@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.inputs import Inputs, bound
-from mbd_ros.core.dynamics.internals import Internals
+from mbd_ros.core.loads.inputs import Inputs, bound
+from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.scene import schema
-from mbd_ros.scene.building import parts_in
-from mbd_ros.scene.sections import Section
+from mbd_ros.scene.reading.building import parts_in
+from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.sections import Section
 
 
 def bind_inputs(

@@ -5,16 +5,16 @@ from collections.abc import Collection
 from typing import Any
 
 from mbd_ros.core.control.contract import ControlledJoints
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.inverse.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse.efforts import joint_efforts
-from mbd_ros.core.inverse.inverse_dynamics import InverseDynamics
-from mbd_ros.core.inverse.observed_loops import ObservedLoops
-from mbd_ros.core.inverse.standing import Nearness, carriers
-from mbd_ros.core.inverse.torques import SampleSolver
-from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.core.inverse_dynamics.efforts import joint_efforts
+from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.core.inverse_dynamics.observed_loops import ObservedLoops
+from mbd_ros.core.inverse_dynamics.standing import Nearness, carriers
+from mbd_ros.core.inverse_dynamics.torques import SampleSolver
+from mbd_ros.core.loads.loads import Loads
+from mbd_ros.core.multiplier_laws import Kind
 from mbd_ros.core.rows.row_layout import rigid
 from mbd_ros.errors import ModelError, SceneError, SolveError
 from mbd_ros.scene.scene_parts import SceneParts

@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.building import Kept, Origin, build, foreign_keys, present, table_of
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.locate import find_scene
-from mbd_ros.scene.model_entry import entries_of, with_model
-from mbd_ros.scene.robot_entry import read_entry
+from mbd_ros.scene.models.model_entry import entries_of, with_model
+from mbd_ros.scene.reading.building import Kept, Origin, build, foreign_keys, present, table_of
+from mbd_ros.scene.reading.robot_entry import read_entry
+from mbd_ros.scene.schema.locate import find_scene
 
 
 def load_scene(path: str | Path, description: str | None = None) -> Scene:
@@ -83,7 +83,7 @@ def build_scene(
     assert robot is not None
     scene = Scene(origin, robot, parts, entries, sections, code)
     if any(hasattr(part, "said") for part in parts.get("forces", ())):
-        from mbd_ros.scene.learned_entries import check_models
+        from mbd_ros.scene.reading.learned_entries import check_models
 
         check_models(scene)
     return scene

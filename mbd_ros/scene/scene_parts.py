@@ -5,26 +5,26 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbd_ros.core.dynamics.inputs import Inputs
-from mbd_ros.core.dynamics.internals import Internals
+from mbd_ros.core.contracts.parts import Actuator, Load
 from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.loads.inputs import Inputs
+from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Actuator, Load
-from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import Array, State
-from mbd_ros.scene.building import Origin, parts_in
-from mbd_ros.scene.coupling_entries import coupling_kinds
 from mbd_ros.scene.input_slots import bind_inputs, first_values
-from mbd_ros.scene.part_entries import MeasuredWrench, Solver
-from mbd_ros.scene.sections import Section
+from mbd_ros.scene.reading.building import Origin, parts_in
+from mbd_ros.scene.reading.coupling_entries import coupling_kinds
+from mbd_ros.scene.reading.part_entries import MeasuredWrench, Solver
+from mbd_ros.scene.schema.sections import Section
 
 if TYPE_CHECKING:
+    from mbd_ros.core.contracts.sensor import Sensor
     from mbd_ros.core.muscles.muscle import Muscle
-    from mbd_ros.core.sensor import Sensor
-    from mbd_ros.scene.phase_plans import PhasePlan
+    from mbd_ros.scene.reading.phase_plans import PhasePlan
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -210,11 +210,11 @@ class SceneParts:
         return tuple(name for name in self.couplings.independent if name not in driven)
 
     def __repr__(self) -> str:
-        from mbd_ros.scene.scene_summary import scene_text
+        from mbd_ros.scene.describe.scene_summary import scene_text
 
         return scene_text(self)
 
     def _repr_html_(self) -> str:
-        from mbd_ros.scene.scene_summary import scene_html
+        from mbd_ros.scene.describe.scene_summary import scene_html
 
         return scene_html(self)

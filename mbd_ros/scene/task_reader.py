@@ -5,11 +5,11 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.building import Origin, build, present, refuse_unknown
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.locate import find_task
-from mbd_ros.scene.sections import TASKS, keys
-from mbd_ros.scene.strict_yaml import read_mapping
+from mbd_ros.scene.reading.building import Origin, build, present, refuse_unknown
+from mbd_ros.scene.schema.locate import find_task
+from mbd_ros.scene.schema.sections import TASKS, keys
+from mbd_ros.scene.schema.strict_yaml import read_mapping
 
 
 class Task(NamedTuple):

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
 from mbd_ros.jobs.lines import say, say_all
-from mbd_ros.scene.locate import path_word
+from mbd_ros.scene.schema.locate import path_word
 
 if TYPE_CHECKING:
     from mbd_ros.scene.built_scene import Scene

@@ -9,9 +9,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from mbd_ros.core.dynamics.showing import Showing
-from mbd_ros.core.inverse.reactions import JointReactions
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.dynamics.output_values import Showing
+from mbd_ros.core.inverse_dynamics.reactions import JointReactions
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError

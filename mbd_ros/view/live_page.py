@@ -6,13 +6,13 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.view.drag_targets import Reach
 from mbd_ros.view.follower import Follower
 from mbd_ros.view.ground import Ground
 from mbd_ros.view.live_curves import LiveSample
 from mbd_ros.view.live_panel import LivePanel, Wish
 from mbd_ros.view.live_robot import LiveRobot
 from mbd_ros.view.pull import Pull, Pulled
-from mbd_ros.view.reach import Reach
 from mbd_ros.view.server import PageServer
 
 _PLOTTED = 6  # frames for one of curves and texts

@@ -4,10 +4,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.base_motion import configuration_of
+from mbd_ros.core.kinematics.free_bases import configuration_of
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
-from mbd_ros.files.recordings import Source, name_of, read_columns, read_motion
+from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion
 from mbd_ros.scene.built_scene import Scene
 
 BALANCE = ("energy", "drift.position", "drift.velocity")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from mbd_ros.errors import DataError, MbdError
-from mbd_ros.files.recordings import Source
+from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.controls import Controls
 from mbd_ros.view.curves import MotionCurves

@@ -6,10 +6,10 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.errors import DataError, SceneError
+from mbd_ros.features.simulation.job import Interrupted, simulate
 from mbd_ros.files.table import Result
-from mbd_ros.jobs.simulate.job import Interrupted, simulate
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.other_numbers import found_place, places_of
+from mbd_ros.scene.numbers import found_place, places_of
 
 _TURN = 3.14  # rad: reach of a joint without limits
 _MOST = 12  # joints with a slider

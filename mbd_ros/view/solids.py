@@ -9,13 +9,13 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.model_source import Recipe
 from mbd_ros.core.model.points import rotation_matrix
-from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.collision_shapes import Collision, geometry_of, names_of_link
+from mbd_ros.scene.reading.collision_shapes import Collision, geometry_of, names_of_link
 from mbd_ros.view import surfaces
 from mbd_ros.view.surfaces import Surface
 

@@ -8,9 +8,9 @@ import pytest
 from PIL import Image
 
 from mbd_ros import load_scene
+from mbd_ros.applications.demo.moving import moving_result
+from mbd_ros.applications.demo.page import Content, page
 from mbd_ros.cli import main
-from mbd_ros.demo.moving import moving_result
-from mbd_ros.demo.page import Content, page
 
 EVIL = "<img src=x onerror=alert(1)>"
 MOST = 6_000_000  # bytes of a page

@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 from fuzz import urdf
 from fuzz.values import NUMBERS, anything, spoil_text
 
-from mbd_ros.scene.registry import PARTS, resolve
-from mbd_ros.scene.sections import SECTIONS, keys
+from mbd_ros.scene.schema.registry import PARTS, resolve
+from mbd_ros.scene.schema.sections import SECTIONS, keys
 
 LISTS = ("constraints", "forces", "actuators")
 CHOICES = {  # words that a key accepts

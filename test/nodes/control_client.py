@@ -17,8 +17,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.schema.code_permission import permitting
 from msg_adapters.diagnostics import STALE
 from msg_adapters.joint_state import JointSample, read_joint_state, write_joint_state
 from msg_adapters.multi_array import read_answered

@@ -16,8 +16,8 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.schema.code_permission import permitting
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time
 from msg_adapters.wrench import write_wrench

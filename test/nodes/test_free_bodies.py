@@ -13,10 +13,10 @@ from nodes.joint_stream import ACTIVE, parameter_file
 from nodes.simulation_client import DEEP, simulated
 from sensor_msgs.msg import JointState
 
+from mbd_ros.features.inverse_dynamics.job import inverse
+from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.jobs.inverse.job import inverse
-from mbd_ros.jobs.simulate.job import simulate
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import read_joint_state
 from msg_adapters.odometry import read_odometry

@@ -9,12 +9,12 @@ from nodes.simulation_client import DEEP, QuickProbe, simulated
 from sensor_msgs.msg import JointState
 
 from mbd_ros.cli import main
-from mbd_ros.core.identification.inertial_parameters import parameters_of
+from mbd_ros.core.model.inertial_parameters import parameters_of
+from mbd_ros.features.identification.identified_scene import description_of
+from mbd_ros.features.identification.job import identify
+from mbd_ros.features.identification.problem import Problem
+from mbd_ros.features.identification.task import Task
 from mbd_ros.jobs.domain_claim import claimed_domain
-from mbd_ros.jobs.identify.identified_scene import description_of
-from mbd_ros.jobs.identify.job import identify
-from mbd_ros.jobs.identify.problem import Problem
-from mbd_ros.jobs.identify.task import Task
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.time import read_time
 

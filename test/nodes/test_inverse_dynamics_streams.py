@@ -10,7 +10,7 @@ from nodes.joint_stream import ACTIVE, DEEP, MS, SCENES, TARGET, WrenchStream, l
 from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import JointState
 
-from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.jobs.domain_claim import claimed_domain
 from msg_adapters.diagnostics import OK, STALE, WARN
 from msg_adapters.joint_state import write_joint_state

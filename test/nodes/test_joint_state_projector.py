@@ -20,7 +20,7 @@ from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 from test_state_projection import FOUR_BAR, LEG, SCENES, measured, nearest_in_z, projector
 
-from mbd_ros.files.bags import raw_messages
+from mbd_ros.files.bags.bags import raw_messages
 from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN

@@ -8,7 +8,7 @@ from muscle_arm import NAMES, SCENE, URDF
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension
 
-from mbd_ros.scene.muscles_task import muscles_task
+from mbd_ros.features.muscles.task import muscles_task
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.time import read_time
 

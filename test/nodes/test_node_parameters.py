@@ -15,16 +15,16 @@ from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE
 
 from mbd_ros.cli import main
-from mbd_ros.core.control.chatter import ChatterMeter
-from mbd_ros.core.control.reference_generator import ReferenceGenerator
-from mbd_ros.core.estimation.joint_observer import Tuning
+from mbd_ros.core.inverse_dynamics.joint_observer import Tuning
 from mbd_ros.core.projection.state_projection import StateProjector
+from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.reference_generator import ReferenceGenerator
 from mbd_ros.nodes.controller import laws
 from mbd_ros.nodes.shell.parameters import PARAMETERS
 from mbd_ros.nodes.table import NODES
-from mbd_ros.scene.arguments import arguments
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.registry import PARTS, resolve
+from mbd_ros.scene.schema.arguments import arguments
+from mbd_ros.scene.schema.registry import PARTS, resolve
 
 PROMISED = json.loads(Path(__file__).with_name("parameters.json").read_text(encoding="utf-8"))
 

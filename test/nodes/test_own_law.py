@@ -27,7 +27,7 @@ NODE = "/sliding_mode_controller"
 OTHERS = """
 from typing import Annotated
 from mbd_ros.core.control.contract import Controller
-from mbd_ros.controllers.computed_torque import ComputedTorque
+from mbd_ros.parts.controllers.computed_torque import ComputedTorque
 class Demanding(ComputedTorque):
     def __init__(self, joints, *, kp: float, order: int = 2) -> None: ...
 class Odd(ComputedTorque):

@@ -9,9 +9,9 @@ from nodes.conftest import ROOT
 from nodes.simulation_client import DEEP, NAME, simulated
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.dynamics.sources import HeldTable
-from mbd_ros.scene.code_permission import permitting
+from mbd_ros.core.loads.input_sources import HeldTable
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.schema.code_permission import permitting
 
 LEG = f"""robot: {{urdf: {ROOT / "config/robots/prosthetic_leg.urdf"}}}
 forces:

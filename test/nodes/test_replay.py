@@ -14,8 +14,8 @@ import pytest
 from mechanisms import floating_body
 from nodes.conftest import ROOT
 
-from mbd_ros.files.bags import BagWriter, messages, new_message, topic_types
-from mbd_ros.jobs.simulate.job import simulate
+from mbd_ros.features.simulation.job import simulate
+from mbd_ros.files.bags.bags import BagWriter, messages, new_message, topic_types
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time
@@ -218,7 +218,7 @@ def output_over_the_input(data_dir, folder):
 
 PART = """
 import numpy as np
-from mbd_ros.core.parts import Load
+from mbd_ros.core.contracts.parts import Load
 from mbd_ros.errors import ModelError
 
 class Fuse(Load):

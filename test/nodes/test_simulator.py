@@ -27,7 +27,7 @@ from visualization_msgs.msg import MarkerArray
 
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
-from mbd_ros.files.bags import BagWriter, messages, raw_messages
+from mbd_ros.files.bags.bags import BagWriter, messages, raw_messages
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.clock import read_clock
 from msg_adapters.diagnostics import OK, WARN
@@ -190,7 +190,7 @@ def test_lock_step_gives_the_same_bag_twice(domain, tmp_path):
 
     A stop acts, so that the QP has a history to forget. And it is the run in this process.
     """
-    from mbd_ros.files.bags import new_message
+    from mbd_ros.files.bags.bags import new_message
 
     bag, count = tmp_path / "commands", 120
     with BagWriter(bag) as writer:

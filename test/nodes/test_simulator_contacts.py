@@ -8,7 +8,7 @@ from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import Marker, MarkerArray
 
 import mbd_ros as mbd
-from mbd_ros.core.geometry.contact_show import OPEN, SLIP, STICK
+from mbd_ros.core.geometry.contact_outputs import OPEN, SLIP, STICK
 from mbd_ros.files.table import Column, Result, Table
 from msg_adapters.time import read_time
 from msg_adapters.wrench import read_wrench

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from mbd_ros.compiled.code.chunks import Chunks, cut
 from mbd_ros.compiled.code.instructions import Instructions, Value
 from mbd_ros.compiled.code.operations import expression
-from mbd_ros.compiled.code.turns import Turns, turns
+from mbd_ros.compiled.code.sines import Turns, turns
 
 _NAMED = {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}
 

@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from mbd_ros.compiled.code.instructions import Instructions, Value
-from mbd_ros.compiled.code.turns import Turns
+from mbd_ros.compiled.code.sines import Turns
 
 WHOLE = 3000  # operations that are not cut: their compilation takes half a second at most
 FEWEST, MOST = 500, 1500  # operations of a chunk

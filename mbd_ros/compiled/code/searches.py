@@ -7,8 +7,8 @@ from typing import Any
 import casadi as ca
 
 from mbd_ros.compiled.code.emit import emit
-from mbd_ros.compiled.code.path_tables import NATIVE, c_row, row_of, search_text
 from mbd_ros.compiled.code.source import Signature, Source
+from mbd_ros.compiled.symbols.path_tables import NATIVE, c_row, row_of, search_text
 from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
 from mbd_ros.compiled.symbols.trace import ARGUMENTS, Traced
 

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class CompiledBalance:
-    """As `mbd_ros.core.dynamics.balance.Balance`, with slopes to rounding.
+    """As `mbd_ros.core.dynamics.residual_force.Balance`, with slopes to rounding.
 
     Args:
         system: The system.

@@ -15,13 +15,13 @@ from mbd_ros.compiled.runs.native_source import Sizes, with_integrators
 from mbd_ros.compiled.runs.native_stepper import NativeStepper
 from mbd_ros.compiled.symbols.trace import Traced, trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.dynamics.row_heights import Reach
+from mbd_ros.core.contact_modes.row_distances import Reach
 from mbd_ros.core.dynamics.world_axes import InWorldAxes
 from mbd_ros.core.integration.linear_motion import LinearMotion
 from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.integration.turned_steps import TurnedSteps
+from mbd_ros.core.integration.world_axes_steps import TurnedSteps
 from mbd_ros.core.names import type_name
-from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.simulation.stepper_of import happenings, prepared
 
 Say = Callable[[str], None]

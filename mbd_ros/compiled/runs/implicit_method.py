@@ -13,7 +13,7 @@ from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.linear_motion import LinearMotion
 from mbd_ros.core.integration.stepping import Integrator, Stepper
-from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.simulation.stepper_of import happenings, prepared
 from mbd_ros.core.state import NONE, Array
 

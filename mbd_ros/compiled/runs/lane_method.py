@@ -16,7 +16,7 @@ from mbd_ros.compiled.symbols.trace import Traced
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.names import type_name
-from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.state import Array
 
 

@@ -19,10 +19,10 @@ from mbd_ros.compiled.runs.native_types import (
     pieces_of,
 )
 from mbd_ros.compiled.runs.run_memory import RunMemory
-from mbd_ros.core.dynamics.sources import Pieces
 from mbd_ros.core.dynamics.world_axes import InWorldAxes
 from mbd_ros.core.integration.blocks import HeldTable
 from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.loads.input_sources import Pieces
 from mbd_ros.core.simulation.sample_times import SampleTimes
 from mbd_ros.core.state import NONE, Array, State
 

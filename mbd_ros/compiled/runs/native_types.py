@@ -8,10 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.dynamics.sources import Pieces
-from mbd_ros.core.integration.adams_turns import adams_weights
+from mbd_ros.core.integration.adams_matrices import adams_weights
 from mbd_ros.core.integration.polynomial import powers
 from mbd_ros.core.integration.tableau import Tableau
+from mbd_ros.core.loads.input_sources import Pieces
 from mbd_ros.core.state import Array
 
 _LONG, _DOUBLE = ctypes.c_long, ctypes.c_double

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.compiled.build.library import load
-from mbd_ros.compiled.code.path_tables import NATIVE, SURFACES, row_of, search_text
 from mbd_ros.compiled.code.source import Source
-from mbd_ros.core.model.wrapping.arcs import Placed
-from mbd_ros.core.model.wrapping.taut import Taut, taut
+from mbd_ros.compiled.symbols.path_tables import NATIVE, SURFACES, row_of, search_text
+from mbd_ros.core.paths.wrapping.arcs import Placed
+from mbd_ros.core.paths.wrapping.taut import Taut, taut
 from mbd_ros.core.state import Array
 
 WRAPS, LINES = 8, 31  # of a path

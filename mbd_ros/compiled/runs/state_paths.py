@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.library import load
-from mbd_ros.compiled.code.path_tables import NATIVE, SURFACES, row_of, search_text
 from mbd_ros.compiled.code.source import Source
 from mbd_ros.compiled.runs.path_search import HEAD, LINES, ROW, WRAPS
+from mbd_ros.compiled.symbols.path_tables import NATIVE, SURFACES, row_of, search_text
 from mbd_ros.core.model.couplings import Couplings, Slopes
-from mbd_ros.core.model.paths import Path
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.via_points import ViaPoint
+from mbd_ros.core.paths.paths import Path
+from mbd_ros.core.paths.via_points import ViaPoint
 from mbd_ros.core.state import Array
 
 _JOINT = np.dtype([("parent", "i4"), ("first", "i4"), ("count", "i4")], align=True)

@@ -7,8 +7,8 @@ import numpy as np
 from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.verify import plain_rates, some_inputs, some_state
 from mbd_ros.compiled.runs.compiled_system import CompiledSystem
-from mbd_ros.core.dynamics.balance import Balance
 from mbd_ros.core.dynamics.extended import Extended
+from mbd_ros.core.dynamics.residual_force import Balance
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError
 

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.compiled.symbols.link_rotations import Matrix, Vector
 from mbd_ros.compiled.symbols.scalar import number
-from mbd_ros.compiled.symbols.turns import Matrix, Vector
 
 
 def vector(values: Vector) -> Any:

@@ -11,13 +11,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols import link_rotations as turns
 from mbd_ros.compiled.symbols.inertias import FREE, REVOLUTE
-from mbd_ros.compiled.symbols.links import Link, Tree
-from mbd_ros.compiled.symbols.moving_tree import Placed
-from mbd_ros.compiled.symbols.sparse_ldl import solved
-from mbd_ros.compiled.symbols.tree_forces import Needed, carried
-from mbd_ros.compiled.symbols.turns import (
+from mbd_ros.compiled.symbols.link_rotations import (
     NO_VECTOR,
     ZERO,
     Matrix,
@@ -28,6 +24,10 @@ from mbd_ros.compiled.symbols.turns import (
     minus,
     plus,
 )
+from mbd_ros.compiled.symbols.links import Link, Tree
+from mbd_ros.compiled.symbols.moving_tree import Placed
+from mbd_ros.compiled.symbols.sparse_ldl import solved
+from mbd_ros.compiled.symbols.tree_forces import Needed, carried
 
 
 class Articulated(NamedTuple):

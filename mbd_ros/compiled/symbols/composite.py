@@ -8,12 +8,12 @@ from typing import Any
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols import link_rotations as turns
 from mbd_ros.compiled.symbols.inertias import FREE, REVOLUTE
+from mbd_ros.compiled.symbols.link_rotations import Matrix, Vector, combined, cross, dot, plus
 from mbd_ros.compiled.symbols.links import Tree
 from mbd_ros.compiled.symbols.moving_tree import Placed
 from mbd_ros.compiled.symbols.tree_forces import carried
-from mbd_ros.compiled.symbols.turns import Matrix, Vector, combined, cross, dot, plus
 
 Composite = tuple[Any, Vector, Matrix]  # mass, mass times mass centre, inertia about the origin
 

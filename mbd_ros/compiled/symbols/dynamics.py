@@ -8,10 +8,10 @@ from mbd_ros.compiled.symbols import articulated
 from mbd_ros.compiled.symbols.composite import mass_matrix
 from mbd_ros.compiled.symbols.coordinates import Entries
 from mbd_ros.compiled.symbols.inertias import FREE
+from mbd_ros.compiled.symbols.link_rotations import vector
 from mbd_ros.compiled.symbols.links import Tree
 from mbd_ros.compiled.symbols.moving_tree import Placed, in_own_axes, in_world_axes
 from mbd_ros.compiled.symbols.tree_forces import joint_forces, needed
-from mbd_ros.compiled.symbols.turns import vector
 
 Place = Callable[[Tree, Sequence[Any]], Sequence[Placed]]
 LONG = 24  # velocities from which an open chain has one form

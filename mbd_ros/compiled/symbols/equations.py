@@ -10,17 +10,17 @@ from mbd_ros.compiled.symbols.coordinates import Coordinates
 from mbd_ros.compiled.symbols.curved import CurvedChart
 from mbd_ros.compiled.symbols.dynamics import TreeDynamics, choices
 from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
+from mbd_ros.compiled.symbols.link_rotations import ZERO
 from mbd_ros.compiled.symbols.links import Tree, tree_of, with_armature
+from mbd_ros.compiled.symbols.mode_switches import SwitchedRows
 from mbd_ros.compiled.symbols.motion import Held, Motion, Pushes, Solution
 from mbd_ros.compiled.symbols.parts_of import Made, parts_of, with_part
+from mbd_ros.compiled.symbols.row_rank import softness
 from mbd_ros.compiled.symbols.rows import Rows, rows_of
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
-from mbd_ros.compiled.symbols.soundness import softness
-from mbd_ros.compiled.symbols.switched import SwitchedRows
-from mbd_ros.compiled.symbols.turns import ZERO
+from mbd_ros.compiled.symbols.unilateral_rows import Margin, YieldingRows
 from mbd_ros.compiled.symbols.untraceable import tracing
 from mbd_ros.compiled.symbols.world_axes import WorldAxes, WorldChart
-from mbd_ros.compiled.symbols.yielding import Margin, YieldingRows
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Mode, State

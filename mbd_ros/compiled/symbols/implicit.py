@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
+from mbd_ros.compiled.symbols.link_rotations import ZERO
 from mbd_ros.compiled.symbols.moving_tree import rotation_of
 from mbd_ros.compiled.symbols.scalar import scalars
-from mbd_ros.compiled.symbols.turns import ZERO
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 
 if TYPE_CHECKING:

@@ -8,15 +8,15 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols import link_rotations as turns
 from mbd_ros.compiled.symbols.arrays import matrix, objects, vector
+from mbd_ros.compiled.symbols.link_rotations import ZERO, Matrix, Vector
 from mbd_ros.compiled.symbols.links import Tree
 from mbd_ros.compiled.symbols.moving_tree import in_own_axes
 from mbd_ros.compiled.symbols.pair_motion import SymbolicPairMotion
 from mbd_ros.compiled.symbols.scalar import Scalar, function, plain, where
 from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
 from mbd_ros.compiled.symbols.tree_forces import joint_forces, needed
-from mbd_ros.compiled.symbols.turns import ZERO, Matrix, Vector
 from mbd_ros.compiled.symbols.world_frames import WORLD, WorldFrames
 from mbd_ros.core.model.points import Pair, Point
 from mbd_ros.core.model.robot import Robot

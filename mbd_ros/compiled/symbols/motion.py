@@ -9,9 +9,9 @@ import casadi as ca
 from mbd_ros.compiled.symbols.coordinates import Coordinates, Entries
 from mbd_ros.compiled.symbols.dynamics import LONG, TreeDynamics
 from mbd_ros.compiled.symbols.elimination import order_of
+from mbd_ros.compiled.symbols.link_rotations import ZERO
 from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.sparse_ldl import SparseLdl
-from mbd_ros.compiled.symbols.turns import ZERO
 
 SOFT = 1.0e-9  # of the usual size of a row: what is added to it where rows may be dependent
 _AGAIN = 2  # solutions for what that leaves

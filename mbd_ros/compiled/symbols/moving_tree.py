@@ -4,10 +4,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols import link_rotations as turns
 from mbd_ros.compiled.symbols.inertias import FREE, PRISMATIC
+from mbd_ros.compiled.symbols.link_rotations import ONE, ZERO, Matrix, PlaneTurn, Turn, Vector
 from mbd_ros.compiled.symbols.links import Link, Tree, cosine_and_sine
-from mbd_ros.compiled.symbols.turns import ONE, ZERO, Matrix, PlaneTurn, Turn, Vector
 
 _UP: Vector = (ZERO, ZERO, ONE)
 

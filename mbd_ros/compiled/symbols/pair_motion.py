@@ -5,11 +5,11 @@ from typing import TYPE_CHECKING, Any
 import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols import link_rotations as turns
 from mbd_ros.compiled.symbols.arrays import matrix, vector
+from mbd_ros.compiled.symbols.link_rotations import Vector, cross, minus, plus
 from mbd_ros.compiled.symbols.scalar import column, numbers
-from mbd_ros.compiled.symbols.turns import Vector, cross, minus, plus
-from mbd_ros.core.model.pair_motion import OfPose, Pose
+from mbd_ros.core.kinematics.relative_motion import OfPose, Pose
 from mbd_ros.core.model.points import Pair
 
 if TYPE_CHECKING:

@@ -11,18 +11,18 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols import link_rotations as turns
 from mbd_ros.compiled.symbols.equations import Equations
+from mbd_ros.compiled.symbols.link_rotations import NO_VECTOR, Vector
 from mbd_ros.compiled.symbols.links import with_own_inertias
 from mbd_ros.compiled.symbols.moving_tree import Placed, in_own_axes
 from mbd_ros.compiled.symbols.scalar import column, number, numbers, plain, scalars
 from mbd_ros.compiled.symbols.tree_forces import Needed, carried, needed
-from mbd_ros.compiled.symbols.turns import NO_VECTOR, Vector
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.compiled.symbols.world_frames import WORLD
-from mbd_ros.core.inverse.joint_loads import Joined
-from mbd_ros.core.model.polynomial_path import PolynomialPath
-from mbd_ros.core.parts import Wrench
+from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.inverse_dynamics.joint_loads import Joined
+from mbd_ros.core.paths.polynomial_path import PolynomialPath
 
 
 class SymbolicReactions:

@@ -9,7 +9,7 @@ import numpy as np
 from mbd_ros.compiled.symbols.coordinates import Coordinates
 from mbd_ros.compiled.symbols.scalar import plain
 from mbd_ros.compiled.symbols.untraceable import tracing
-from mbd_ros.core.row_laws import Level
+from mbd_ros.core.multiplier_laws import Level
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import State
 

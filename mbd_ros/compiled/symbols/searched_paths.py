@@ -5,10 +5,10 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from mbd_ros.compiled.code.path_tables import SURFACES
+from mbd_ros.compiled.symbols.path_tables import SURFACES
 from mbd_ros.compiled.symbols.scalar import numbers, plain
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.model.wrapping.taut import Taut
+from mbd_ros.core.paths.wrapping.taut import Taut
 
 
 class SearchedPath(NamedTuple):

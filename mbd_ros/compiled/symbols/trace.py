@@ -5,10 +5,10 @@ from typing import Any
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols.answers import Answers
 from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.parts_of import Made
 from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
+from mbd_ros.compiled.symbols.traced_functions import Answers
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import Mode
@@ -165,7 +165,7 @@ def trace(
         parameters: Names of numbers that stay arguments.
         mode: Of rows that give way at events, as `State.mode`; needed where there are any. None
             for all modes at once: p ends with the mode then.
-        made: Makes parts from symbols by parameter: name -> part; see `scene.symbolic_parts`.
+        made: Makes parts from symbols by parameter: name -> part; see `scene.runs.symbolic_parts`.
         in_world: Whether velocities of free bodies stand in the axes of the world, for functions
             that runs call; accelerations are their rates then.
 

@@ -14,11 +14,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols import link_rotations as turns
 from mbd_ros.compiled.symbols.inertias import FREE, REVOLUTE
-from mbd_ros.compiled.symbols.links import Tree
-from mbd_ros.compiled.symbols.moving_tree import Placed
-from mbd_ros.compiled.symbols.turns import (
+from mbd_ros.compiled.symbols.link_rotations import (
     NO_VECTOR,
     ZERO,
     Matrix,
@@ -30,6 +28,8 @@ from mbd_ros.compiled.symbols.turns import (
     more,
     plus,
 )
+from mbd_ros.compiled.symbols.links import Tree
+from mbd_ros.compiled.symbols.moving_tree import Placed
 
 _ROUNDING = 1.0e-15
 _NO_U = turns.matrix(np.zeros((3, 3)))

@@ -6,10 +6,10 @@ Where contacts of free bodies are found, runs integrate these; all else is in ax
 from collections.abc import Iterator, Sequence
 from typing import Any
 
-from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols import link_rotations as turns
 from mbd_ros.compiled.symbols.curved import CurvedChart, turn_rate, turned
+from mbd_ros.compiled.symbols.link_rotations import Vector, cross, minus, plus, through, transposed
 from mbd_ros.compiled.symbols.moving_tree import rotation_of
-from mbd_ros.compiled.symbols.turns import Vector, cross, minus, plus, through, transposed
 
 
 class WorldChart(CurvedChart):

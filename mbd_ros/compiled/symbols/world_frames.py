@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols import turns
+from mbd_ros.compiled.symbols import link_rotations as turns
 from mbd_ros.compiled.symbols.inertias import FREE, REVOLUTE
+from mbd_ros.compiled.symbols.link_rotations import NO_VECTOR, Matrix, Vector, cross, plus
 from mbd_ros.compiled.symbols.links import Link, Tree
 from mbd_ros.compiled.symbols.moving_tree import placements
-from mbd_ros.compiled.symbols.turns import NO_VECTOR, Matrix, Vector, cross, plus
 
 WORLD = -1  # stands for the link of what is at rest
 

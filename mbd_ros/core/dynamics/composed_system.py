@@ -5,15 +5,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mbd_ros.core.complementarity.bounded_rows import BoundedRows
 from mbd_ros.core.dynamics.free_motion import FreeMotion
-from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.linearization import Linearization, mode_at
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.dynamics.mode_accelerators import ModeAccelerators
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
-from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.loads.internal_states import Internals
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
@@ -21,7 +21,7 @@ from mbd_ros.core.state import NONE, Array, Evaluation, Mode, State
 from mbd_ros.errors import SolveError
 
 if TYPE_CHECKING:
-    from mbd_ros.core.dynamics.exact_rows import ExactRows
+    from mbd_ros.core.contact_modes.event_rows import ExactRows
     from mbd_ros.core.dynamics.extended import Extended
     from mbd_ros.core.dynamics.free_derivatives import FreeDerivatives
 

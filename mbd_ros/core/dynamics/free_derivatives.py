@@ -10,11 +10,11 @@ J. Carpentier, N. Mansard, Analytical derivatives of rigid body dynamics algorit
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.contracts.parts import Load
 from mbd_ros.core.dynamics.chart import Chart
-from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.system import Derivatives
-from mbd_ros.core.parts import Load
+from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.state import Array, State
 
 _STEP = 1.5e-8  # square root of the rounding unit

@@ -3,8 +3,8 @@
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import NONE, Array, Mode, State
 

@@ -3,14 +3,14 @@
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
+from mbd_ros.core.complementarity.bounded_rows import BoundedRows
 from mbd_ros.core.dynamics.free_motion import FreeMotion
-from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.system import Accelerator
-from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.state import Array, Mode, State
 
 if TYPE_CHECKING:
-    from mbd_ros.core.dynamics.exact_rows import ExactRows
+    from mbd_ros.core.contact_modes.event_rows import ExactRows
 
 
 class ModeAccelerators:

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import Array, Evaluation, Mode, State

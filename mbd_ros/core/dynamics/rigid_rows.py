@@ -1,11 +1,11 @@
 """Rows of a mechanism that hold whatever multipliers that takes."""
 
 from mbd_ros.core.dynamics.mechanism import Mechanism
-from mbd_ros.core.model.kinematics import Reads
+from mbd_ros.core.kinematics.kinematics import Reads
+from mbd_ros.core.rows.characteristic_sizes import UsualSizes, usual_sizes
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
-from mbd_ros.core.rows.usual_sizes import UsualSizes, usual_sizes
 from mbd_ros.core.state import Array, State
 
 

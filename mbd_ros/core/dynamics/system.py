@@ -5,23 +5,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 
+from mbd_ros.core.complementarity.bounded_rows import BoundedRows
 from mbd_ros.core.dynamics.chart import Chart
-from mbd_ros.core.dynamics.internals import Internals
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.loads.internal_states import Internals
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.optimization.bounded_rows import BoundedRows
+from mbd_ros.core.rows.characteristic_sizes import UsualSizes
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.rows.row_layout import RowLayout
-from mbd_ros.core.rows.usual_sizes import UsualSizes
 from mbd_ros.core.state import Array, Evaluation, Mode, State
 
 if TYPE_CHECKING:
-    from mbd_ros.core.dynamics.exact_rows import ExactRows
+    from mbd_ros.core.contact_modes.event_rows import ExactRows
 
 # t, q, v, u and what is written; with internal states t, q, v, z, u and what is written, a and z'
 Accelerator = Callable[..., None]

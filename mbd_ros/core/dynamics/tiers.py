@@ -3,31 +3,31 @@
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
+from mbd_ros.core.complementarity.bounded_rows import BoundedRows
 from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
 from mbd_ros.core.dynamics.dense import Dense
 from mbd_ros.core.dynamics.free_motion import FreeMotion
-from mbd_ros.core.dynamics.internals import Internals
 from mbd_ros.core.dynamics.kkt import Kkt
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.mechanism import Mechanism
-from mbd_ros.core.dynamics.mimic import Mimic, mimic_model
+from mbd_ros.core.dynamics.mimic_joints import Mimic, mimic_model
 from mbd_ros.core.dynamics.reduced import Reduced
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.loads.internal_states import Internals
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.optimization.bounded_rows import BoundedRows
-from mbd_ros.core.row_laws import Kind, Level
+from mbd_ros.core.multiplier_laws import Kind, Level
+from mbd_ros.core.rows.characteristic_sizes import UsualSizes
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.rows.row_layout import RowBlock, RowLayout
-from mbd_ros.core.rows.usual_sizes import UsualSizes
 from mbd_ros.errors import ModelError
 
 if TYPE_CHECKING:
-    from mbd_ros.core.dynamics.exact_rows import ExactRows
+    from mbd_ros.core.contact_modes.event_rows import ExactRows
 
 TIERS = ("auto", "aba", "reduced", "kkt", "qp")
 
@@ -121,8 +121,8 @@ class _Plan:
         exact, nv = self._layout.exact, self._robot.model.nv
         if not exact:
             return None
-        from mbd_ros.core.dynamics.exact_rows import ExactRows
-        from mbd_ros.core.dynamics.row_heights import stiff
+        from mbd_ros.core.contact_modes.event_rows import ExactRows
+        from mbd_ros.core.contact_modes.row_distances import stiff
 
         every = sorted((*self._limited, *map(stiff, exact)), key=lambda block: block.slots.start)
         solver = BoundedRows(ConstraintRows(every, nv, gains), nv, self._backend)

@@ -5,13 +5,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.sensor import Measures, Sensor
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.estimation.process import Observation
 from mbd_ros.core.estimation.state_tangent import StateTangent
-from mbd_ros.core.inverse.felt_reactions import FeltReactions
-from mbd_ros.core.model.kinematics import Reads
-from mbd_ros.core.outputs import Now
-from mbd_ros.core.sensor import Measures, Sensor
+from mbd_ros.core.inverse_dynamics.sensed_reactions import FeltReactions
+from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.errors import ModelError
 

@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.multiplier_laws import Kind
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, State
 
 if TYPE_CHECKING:
-    from mbd_ros.core.events.contact_room import ContactRoom
+    from mbd_ros.core.events.contact_clearance import ContactRoom
 
 _AHEAD = 4.0  # paths of the last step that several steps at once stay away from a search
 
@@ -114,6 +114,6 @@ class Clearance:
 def _contact_room(system: System, blocks: list[RowBlock]) -> "ContactRoom | None":
     if not blocks:
         return None
-    from mbd_ros.core.events.contact_room import ContactRoom
+    from mbd_ros.core.events.contact_clearance import ContactRoom
 
     return ContactRoom(system, [block.part for block in blocks])

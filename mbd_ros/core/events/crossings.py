@@ -8,7 +8,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TINY
 

@@ -5,11 +5,11 @@ from collections.abc import Collection
 
 import numpy as np
 
-from mbd_ros.core.dynamics.row_heights import Reach, rounding
+from mbd_ros.core.contact_modes.row_distances import Reach, rounding
 from mbd_ros.core.dynamics.system import Accelerator, System
-from mbd_ros.core.events.gaps import inside
 from mbd_ros.core.events.part_guards import PartGuards
 from mbd_ros.core.events.sliding_field import SlidingField
+from mbd_ros.core.events.starts_beyond_gaps import inside
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 

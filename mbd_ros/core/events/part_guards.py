@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.parts import Guard, Part
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.names import label
-from mbd_ros.core.outputs import Now
-from mbd_ros.core.parts import Guard, Part
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 

@@ -5,11 +5,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.parts import Guard, Part
 from mbd_ros.core.events.crossings import Condition, Crossing
 from mbd_ros.core.events.phase_reset import PhaseReset
-from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.outputs import Now
-from mbd_ros.core.parts import Guard, Part
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.state import Array, State
 
 

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.dynamics.velocity_level import VelocityLevel
 from mbd_ros.core.events.crossings import Crossing
+from mbd_ros.core.impacts.impact_map import VelocityLevel
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import ASSEMBLED
 from mbd_ros.errors import SolveError

@@ -4,8 +4,8 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
+from mbd_ros.core.contact_modes.row_distances import rounding
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
-from mbd_ros.core.dynamics.row_heights import rounding
 from mbd_ros.core.events.event import Event
 from mbd_ros.core.events.event_log import EventLog
 from mbd_ros.core.events.phase import Exit, Phase

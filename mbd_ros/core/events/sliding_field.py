@@ -6,11 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import Accelerator, System
 from mbd_ros.core.events.surface_modes import Mode, equivalent_signs
 from mbd_ros.core.events.switching import DiscontinuousForce
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.state import Array, State
 
 Choice = Callable[[State, Array | None], Array]

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.row_heights import rounding
+from mbd_ros.core.contact_modes.row_distances import rounding
 from mbd_ros.core.events.event_location import narrowed, sign_change
 from mbd_ros.core.events.mode_field import Margin, ModeField
 from mbd_ros.core.integration.stepping import Stepper

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Load
+from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import Array, State
 
 

@@ -4,13 +4,13 @@ from collections.abc import Collection
 
 import numpy as np
 
-from mbd_ros.core.dynamics.velocity_level import Impact
-from mbd_ros.core.events.decision import decided
+from mbd_ros.core.events.accumulation import Pace
 from mbd_ros.core.events.event import Event
 from mbd_ros.core.events.event_log import EventLog
-from mbd_ros.core.events.impacts import Impacts, Rest
+from mbd_ros.core.events.impact_events import Impacts, Rest
+from mbd_ros.core.events.mode_decision import decided
 from mbd_ros.core.events.mode_field import Margin, ModeField
-from mbd_ros.core.events.pace import Pace
+from mbd_ros.core.impacts.impact_map import Impact
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import JammedError, SolveError
 

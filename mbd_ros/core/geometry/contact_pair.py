@@ -4,9 +4,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.geometry.meeting import Meeting
+from mbd_ros.core.geometry.feature_gaps import Meeting
 from mbd_ros.core.geometry.shapes import Between
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.points import Pair, Point
 from mbd_ros.core.state import Array, State
 

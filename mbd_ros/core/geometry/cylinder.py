@@ -4,10 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.geometry.balls import PLANE_AXES
+from mbd_ros.core.geometry.feature_gaps import Meeting, Touch
 from mbd_ros.core.geometry.frames import crossed
-from mbd_ros.core.geometry.meeting import Meeting, Touch
 from mbd_ros.core.geometry.shapes import Cylinder
+from mbd_ros.core.geometry.spheres import PLANE_AXES
 from mbd_ros.core.model.points import Pair
 
 _UPRIGHT = 1.0e-9  # sine of a tilt below which no point of a rim is the lowest

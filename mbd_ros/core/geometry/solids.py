@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.geometry.feature_gaps import Meeting, Touch
 from mbd_ros.core.geometry.frames import framed, lengths, nearest_bases
-from mbd_ros.core.geometry.meeting import Meeting, Touch
 from mbd_ros.core.geometry.shapes import Balls, Box, Capsule, Cylinder, Mesh
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
@@ -46,7 +46,7 @@ def _distance_to(solid: Box | Capsule | Cylinder | Mesh) -> tuple[Distance, str]
     if isinstance(solid, Cylinder):
         return _to_cylinder(solid.radius, solid.length / 2.0), "cylinder"
     if isinstance(solid, Mesh):
-        from mbd_ros.core.geometry.to_mesh import ToMesh
+        from mbd_ros.core.geometry.mesh_distance import ToMesh
 
         return ToMesh(solid.body, BESIDE * solid.body.size), "mesh"
     return _to_box(solid.sides / 2.0), "box"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.integration.adams_turns import turns
+from mbd_ros.core.integration.adams_matrices import turns
 from mbd_ros.core.integration.dop853_tableau import DOP853
 from mbd_ros.core.integration.nystrom_stages import new_state
 from mbd_ros.core.integration.polynomial import integrals

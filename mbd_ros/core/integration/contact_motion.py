@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.spring_motion import SpringMotion
-from mbd_ros.core.model.kinematics import Reads
-from mbd_ros.core.row_laws import Kind
+from mbd_ros.core.kinematics.kinematics import Reads
+from mbd_ros.core.multiplier_laws import Kind
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.core.thresholds import redundant

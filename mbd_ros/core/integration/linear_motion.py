@@ -78,7 +78,10 @@ def linear_motion(system: System, x: State) -> LinearMotion:
 
 
 def _follows(block: RowBlock) -> bool:
-    from mbd_ros.core.dynamics.row_heights import Reach, reach_of  # only where rows give way
+    from mbd_ros.core.contact_modes.row_distances import (  # only where rows give way
+        Reach,
+        reach_of,
+    )
 
     return block.smoothed or reach_of(block) is Reach.DEMAND
 

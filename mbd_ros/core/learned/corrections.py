@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.identification.inertial_parameters import COUNT, moving_bodies
+from mbd_ros.core.model.inertial_parameters import COUNT, moving_bodies
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError

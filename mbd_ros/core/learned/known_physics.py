@@ -8,11 +8,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.learned.model_file import About
 from mbd_ros.core.model.couplings import Couplings
-from mbd_ros.core.model.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Load
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError
 

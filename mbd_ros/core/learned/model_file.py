@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.identification.inertial_parameters import moving_bodies
+from mbd_ros.core.model.inertial_parameters import moving_bodies
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError

@@ -9,8 +9,8 @@ import pinocchio as pin
 
 from mbd_ros.core.model.far_base import FAR, root_link
 from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic
+from mbd_ros.core.model.model_source import Recipe
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.model.robot import WORLD, Robot
 from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, read_recipe
 from mbd_ros.core.model.urdf import MAX_JOINTS, parse_urdf

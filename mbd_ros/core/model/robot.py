@@ -10,8 +10,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic, Rubbing
+from mbd_ros.core.model.model_source import Recipe
 from mbd_ros.core.model.points import Pair, Place, Places, Point, rotation_matrix
-from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 

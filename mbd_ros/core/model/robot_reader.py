@@ -15,8 +15,8 @@ import pinocchio as pin
 
 from mbd_ros.core.model.far_base import centred, root_link
 from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic, Rubbing
+from mbd_ros.core.model.model_source import Recipe
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.recipe import Recipe
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.model.urdf_inertias import check_inertias

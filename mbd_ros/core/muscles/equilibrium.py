@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
 from mbd_ros.core.muscles.contraction import Contraction
 from mbd_ros.core.state import Array

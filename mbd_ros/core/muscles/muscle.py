@@ -6,14 +6,14 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mbd_ros.core.dynamics.path_load import PathLoad
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.model.paths import Path
+from mbd_ros.core.contracts.outputs import Now, Output, Value
+from mbd_ros.core.contracts.parts import Actuator, Channel, Internal
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.loads.path_load import PathLoad
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
 from mbd_ros.core.muscles.contraction import Contraction, Fiber
 from mbd_ros.core.muscles.metabolic_rate import USUAL_METABOLISM, Metabolism, metabolic_rate
-from mbd_ros.core.outputs import Now, Output, Value
-from mbd_ros.core.parts import Actuator, Channel, Internal
+from mbd_ros.core.paths.paths import Path
 from mbd_ros.core.state import Array, State
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from mbd_ros.core.optimization.active_set import Sides, factored, passed
 from mbd_ros.core.optimization.box_qp import Statistics
-from mbd_ros.core.optimization.complementarity import ComplementarityProblem
+from mbd_ros.core.optimization.lcp import ComplementarityProblem
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CLOSED_GAP, HELD_BY_ROWS, REACHED
 

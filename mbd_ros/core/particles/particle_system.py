@@ -9,9 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from mbd_ros.core.dynamics.chart import Chart
-from mbd_ros.core.dynamics.internals import Internals
-from mbd_ros.core.dynamics.loads import Loads
 from mbd_ros.core.dynamics.system import Accelerator
+from mbd_ros.core.loads.internal_states import Internals
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.particles.molecules import Molecules
 from mbd_ros.core.particles.particle_mass import ParticleMass
 from mbd_ros.core.particles.particle_rows import ParticleRows

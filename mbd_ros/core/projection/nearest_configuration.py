@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.model.kinematics import Reads
+from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.optimization.limit_forces import LimitForces
 from mbd_ros.core.optimization.move_qp import Metric, Move, MoveQp, is_convex, row_weight
 from mbd_ros.core.state import Array, State

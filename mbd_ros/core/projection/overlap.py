@@ -9,15 +9,15 @@ Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. C
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.complementarity.unilateral_impulses import PushImpulses
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.rigid_rows import RigidRows
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.geometry.size import distance_to_mass
-from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.optimization.push_impulses import PushImpulses
+from mbd_ros.core.geometry.contact_size import distance_to_mass
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.multiplier_laws import Kind
 from mbd_ros.core.projection.assembly import assemble
-from mbd_ros.core.row_laws import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, State

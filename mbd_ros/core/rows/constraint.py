@@ -5,10 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.contracts.parts import Part, Wrench
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.joints import Joint
-from mbd_ros.core.model.kinematics import Kinematics
-from mbd_ros.core.parts import Part, Wrench
-from mbd_ros.core.row_laws import Law, Level, bilateral
+from mbd_ros.core.multiplier_laws import Law, Level, bilateral
 from mbd_ros.core.state import Array, Mode, State
 
 

@@ -5,9 +5,9 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.parts import Wrench
-from mbd_ros.core.row_laws import Kind, Level
+from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.multiplier_laws import Kind, Level
 from mbd_ros.core.rows.row_layout import RowBlock
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError

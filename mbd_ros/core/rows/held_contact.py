@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.parts import Wrench
+from mbd_ros.core.rows.characteristic_sizes import configurations
 from mbd_ros.core.rows.constraint import Constraint
-from mbd_ros.core.rows.usual_sizes import configurations
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import ROUNDED_ROW
 from mbd_ros.errors import ModelError

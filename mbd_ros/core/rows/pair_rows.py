@@ -5,12 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.model.pair_motion import PairMotion, Placed
+from mbd_ros.core.contracts.outputs import Now, Value, exerted_on
+from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.relative_motion import PairMotion, Placed
 from mbd_ros.core.model.points import Pair, Point
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.outputs import Now, Value, exerted_on
-from mbd_ros.core.parts import Wrench
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.rows.rotation_residual import RotationResidual
 from mbd_ros.core.state import Array, State

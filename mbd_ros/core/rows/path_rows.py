@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.model.paths import Path
-from mbd_ros.core.outputs import Now, Output, Value
-from mbd_ros.core.parts import Wrench
+from mbd_ros.core.contracts.outputs import Now, Output, Value
+from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.paths.paths import Path
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State
 

@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.multiplier_laws import Kind, Law, Level
 from mbd_ros.core.names import label
-from mbd_ros.core.row_laws import Kind, Law, Level
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
@@ -154,7 +154,9 @@ def _block(part: Constraint, rows: tuple[Row, ...], slots: slice) -> RowBlock:
     if rows:
         where = f"{where} with row {rows[0].name}"
     if hasattr(part, "bounds"):
-        raise ModelError(f"{where} has bounds: say law = box(lower, upper) of core/row_laws.py")
+        raise ModelError(
+            f"{where} has bounds: say law = box(lower, upper) of core/multiplier_laws.py"
+        )
     law, m = part.law, len(rows)
     try:
         lower = np.broadcast_to(-np.inf if callable(law.lower) else law.lower, m)

@@ -3,22 +3,22 @@
 import math
 from typing import TYPE_CHECKING
 
-from mbd_ros.core.dynamics.in_phase import during, phased
-from mbd_ros.core.dynamics.overshoots import Overshoots
+from mbd_ros.core.dynamics.phase_queries import during, phased
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.memory import is_same
 from mbd_ros.core.projection.assembly import consistent
-from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.simulation.divergence import divergence, last_finite
 from mbd_ros.core.simulation.stepper_of import stepper_of
+from mbd_ros.core.simulation.stop_overshoot import Overshoots
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, ModelError, SolveError
 
 if TYPE_CHECKING:
+    from mbd_ros.core.complementarity.contact_problem import Residuals
     from mbd_ros.core.events.event import Event
-    from mbd_ros.core.optimization.contact_problem import Residuals
 
 
 class CheckedSteps:

@@ -46,7 +46,7 @@ def last_finite(system: System, y: State) -> str:
     speeds = {joint.name: (float(x.v[joint.v]), "joint") for joint in robot.joints}
     places = [f"{joint.name} {x.q[joint.q]:.4g}" for joint in robot.joints[:_SHOWN]]
     for base in robot.bases:
-        from mbd_ros.core.model.base_motion import world_pose  # only where something flies
+        from mbd_ros.core.kinematics.free_bases import world_pose  # only where something flies
 
         fastest = max(x.v[base.v].tolist(), key=abs)
         speeds[base.name] = fastest, "free body"

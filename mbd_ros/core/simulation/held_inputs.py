@@ -2,7 +2,7 @@
 
 import math
 
-from mbd_ros.core.dynamics.inputs import Sources
+from mbd_ros.core.loads.inputs import Sources
 from mbd_ros.core.simulation.sample_times import SampleTimes
 from mbd_ros.core.state import Array
 

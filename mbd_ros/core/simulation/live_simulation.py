@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.dynamics.in_phase import during, phase_names, phased
-from mbd_ros.core.dynamics.showing import Showing
-from mbd_ros.core.model.base_motion import world_pose
+from mbd_ros.core.contracts.outputs import FrictionCone, Now, Output
+from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.dynamics.output_values import Showing
+from mbd_ros.core.dynamics.phase_queries import during, phase_names, phased
+from mbd_ros.core.kinematics.free_bases import world_pose
+from mbd_ros.core.kinematics.poses import POSE, TWIST, with_sign_of
 from mbd_ros.core.model.joints import Base, Joint
-from mbd_ros.core.model.poses import POSE, TWIST, with_sign_of
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.outputs import FrictionCone, Now, Output
-from mbd_ros.core.parts import Wrench
 from mbd_ros.core.projection.assembly import Violation, violation
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.divergence import last_finite
 from mbd_ros.core.simulation.safe_command import SafeCommand
-from mbd_ros.core.simulation.seen import seen_at
+from mbd_ros.core.simulation.shown_accelerations import seen_at
 from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME
@@ -26,7 +26,7 @@ from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
 
 if TYPE_CHECKING:
     from mbd_ros.core.events.event import Event
-    from mbd_ros.core.inverse.felt_reactions import FeltReactions
+    from mbd_ros.core.inverse_dynamics.sensed_reactions import FeltReactions
     from mbd_ros.core.simulation.noisy_sensors import NoisySensors
 
 _NO_TWISTS: Array = np.zeros((0, TWIST))
@@ -191,7 +191,7 @@ class LiveSimulation:
         system, reactions = self.simulation.system, None
         if sensors.needs_reactions:
             if self._felt is None:
-                from mbd_ros.core.inverse import felt_reactions
+                from mbd_ros.core.inverse_dynamics import sensed_reactions as felt_reactions
 
                 self._felt = felt_reactions.FeltReactions(system)
             reactions = self._felt.at(self._x, u, a, lam)

@@ -8,10 +8,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.sensor import Measures, Sensor
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.model.kinematics import Kinematics, Reads
-from mbd_ros.core.outputs import Now
-from mbd_ros.core.sensor import Measures, Sensor
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.state import Array, State
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.blocks import BlockStepper
 from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.projection.stabilizing import Stabilization
+from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.simulation.checked_steps import CheckedSteps
 from mbd_ros.core.simulation.checkpoint import Checkpoint, Progress, refuse_other
 from mbd_ros.core.simulation.held_inputs import HeldInputs

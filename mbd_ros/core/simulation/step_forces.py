@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.slip_names import begun
-from mbd_ros.core.model.kinematics import Reads
-from mbd_ros.core.simulation.seen import Seen
+from mbd_ros.core.contact_modes.slip_directions import begun
+from mbd_ros.core.kinematics.kinematics import Reads
+from mbd_ros.core.simulation.shown_accelerations import Seen
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import SolveError
 

@@ -2,12 +2,12 @@
 
 from collections.abc import Iterator
 
-from mbd_ros.core.dynamics.in_phase import phased
+from mbd_ros.core.contracts.parts import Part
+from mbd_ros.core.dynamics.phase_queries import phased
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.multiplier_laws import Kind
 from mbd_ros.core.names import type_name
-from mbd_ros.core.parts import Part
-from mbd_ros.core.row_laws import Kind
 from mbd_ros.errors import ModelError
 
 
@@ -52,7 +52,7 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
 def _turned(method: Integrator, system: System, dt: float) -> Stepper:
     """The steps of a method in the axes of the world, where spins turn no velocity."""
     from mbd_ros.core.dynamics.world_axes import InWorldAxes
-    from mbd_ros.core.integration.turned_steps import TurnedSteps
+    from mbd_ros.core.integration.world_axes_steps import TurnedSteps
 
     world = InWorldAxes(system)
     inner = prepared(method, world, dt)

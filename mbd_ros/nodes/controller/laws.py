@@ -10,8 +10,8 @@ from mbd_ros.files.plans import read_plan
 from mbd_ros.nodes.controller.parameters import COMMON, EACH
 from mbd_ros.nodes.shell.constructor_parameters import parameter
 from mbd_ros.nodes.shell.parameters import Parameter, ParameterError
-from mbd_ros.scene.arguments import Argument, arguments
-from mbd_ros.scene.registry import PARTS, resolve
+from mbd_ros.scene.schema.arguments import Argument, arguments
+from mbd_ros.scene.schema.registry import PARTS, resolve
 
 OF_QP = ("qp_tracking",)
 OTHERS = tuple(name for name in PARTS["controllers"] if name not in OF_QP)

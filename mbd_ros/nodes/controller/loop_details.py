@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from mbd_ros.core.control.control_loop import ControlLoop
-from mbd_ros.core.control.loop_watch import LoopWatch
 from mbd_ros.core.state import Array
+from mbd_ros.features.control.control_loop import ControlLoop
+from mbd_ros.features.control.loop_watch import LoopWatch
 
 
 def loop_details(loop: ControlLoop, t: float) -> dict[str, str]:

@@ -13,15 +13,15 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from mbd_ros.core.control.reference_limits import TargetError
-from mbd_ros.core.estimation.differentiation import SampleStatus
+from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.errors import SolveError
+from mbd_ros.features.control.reference_limits import TargetError
 from mbd_ros.nodes.controller.laws import with_law
 from mbd_ros.nodes.controller.pipeline import ControlPipeline
 from mbd_ros.nodes.controller.trajectory_action import ABSENT, NAME, TrajectoryAction, action_type
 from mbd_ros.nodes.shell.joint_state_node import JointStateNode
 from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter
-from mbd_ros.scene.code_permission import permitting
+from mbd_ros.scene.schema.code_permission import permitting
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader

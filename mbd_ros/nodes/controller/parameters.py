@@ -5,15 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.control.chatter import ChatterMeter
+from mbd_ros.core.contracts.parts import Actuator
 from mbd_ros.core.control.contract import ControlledJoints
-from mbd_ros.core.control.reference_generator import ReferenceGenerator
-from mbd_ros.core.parts import Actuator
 from mbd_ros.core.state import Array
-from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS as INVERSE_DYNAMICS
-from mbd_ros.nodes.inverse_dynamics.parameters import tunable
+from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.reference_generator import ReferenceGenerator
 from mbd_ros.nodes.shell.constructor_parameters import of
 from mbd_ros.nodes.shell.parameters import Parameter, ParameterError
+from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS
+from mbd_ros.nodes.shell.stream_parameters import tunable
 
 _SHARED = (
     *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),

@@ -7,25 +7,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from mbd_ros.core.control.chatter import ChatterMeter
-from mbd_ros.core.control.control_loop import Command, ControlLoop
-from mbd_ros.core.control.guard import Guard
-from mbd_ros.core.control.loop_watch import LoopWatch, LossLimits, rest_responses
-from mbd_ros.core.control.reference_generator import ReferenceGenerator
-from mbd_ros.core.control.reference_limits import TargetError
-from mbd_ros.core.dynamics.loads import Loads
-from mbd_ros.core.estimation.differentiation import SampleStatus
-from mbd_ros.core.estimation.joint_observer import JointObserver, Observation
+from mbd_ros.core.inverse_dynamics.joint_observer import JointObserver, Observation
+from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.projection.observed_state import ObservedState
+from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import SolveError
+from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.command_guard import Guard
+from mbd_ros.features.control.control_loop import Command, ControlLoop
+from mbd_ros.features.control.loop_watch import LoopWatch, LossLimits, rest_responses
+from mbd_ros.features.control.reference_generator import ReferenceGenerator
+from mbd_ros.features.control.reference_limits import TargetError
 from mbd_ros.nodes.controller.laws import build_controller
 from mbd_ros.nodes.controller.loop_details import loop_details
 from mbd_ros.nodes.controller.parameters import check_lengths, effort_limits, gains
 from mbd_ros.nodes.controller.references import Plan, References
-from mbd_ros.nodes.inverse_dynamics.parameters import tuning
 from mbd_ros.nodes.shell.driven_joints import command_order, driven_joints
 from mbd_ros.nodes.shell.serialized import joint_state
+from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.control.contract import Reference
-from mbd_ros.core.control.reference_generator import ReferenceGenerator
-from mbd_ros.core.control.reference_map import ReferenceMap, Selection
-from mbd_ros.core.control.trajectory import ReferenceTrajectory
 from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.features.control.reference_generator import ReferenceGenerator
+from mbd_ros.features.control.reference_map import ReferenceMap, Selection
+from mbd_ros.features.control.trajectory import ReferenceTrajectory
 from msg_adapters.joint_state import JointSample
 from msg_adapters.joint_trajectory import Trajectory
 

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
-from mbd_ros.core.control.reference_limits import TargetError
-from mbd_ros.core.control.trajectory import ReferenceTrajectory
-from mbd_ros.core.control.trajectory_goal import (
+from mbd_ros.features.control.reference_limits import TargetError
+from mbd_ros.features.control.trajectory import ReferenceTrajectory
+from mbd_ros.features.control.trajectory_goal import (
     JointTolerance,
     Outcome,
     ResultCode,

@@ -8,14 +8,14 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
-from mbd_ros.core.estimation.differentiation import SampleStatus
-from mbd_ros.core.estimation.torque_estimator import Observation
+from mbd_ros.core.inverse_dynamics.torque_estimator import Observation
+from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.errors import SolveError
-from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS, tuning
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
 from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
 from mbd_ros.nodes.shell.scene_node import LATCHED
 from mbd_ros.nodes.shell.serialized import require_size
+from mbd_ros.nodes.shell.stream_parameters import PARAMETERS, tuning
 from mbd_ros.nodes.shell.wrenches import read_load
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError

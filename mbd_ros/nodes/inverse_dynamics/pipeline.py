@@ -6,19 +6,19 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
-from mbd_ros.core.estimation.differentiation import SampleStatus
-from mbd_ros.core.estimation.torque_estimator import Observation, TorqueEstimator
-from mbd_ros.core.inverse.observed_loops import ObservedLoops
-from mbd_ros.core.inverse.standing import Nearness
-from mbd_ros.core.inverse.torques import SampleSolver
-from mbd_ros.core.model.base_motion import IndependentCoordinates
-from mbd_ros.core.model.poses import TWIST
+from mbd_ros.core.inverse_dynamics.observed_loops import ObservedLoops
+from mbd_ros.core.inverse_dynamics.standing import Nearness
+from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
+from mbd_ros.core.inverse_dynamics.torques import SampleSolver
+from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
+from mbd_ros.core.kinematics.poses import TWIST
+from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import SceneError
-from mbd_ros.nodes.inverse_dynamics.parameters import tuning
 from mbd_ros.nodes.inverse_dynamics.wrench_queue import WrenchQueue
 from mbd_ros.nodes.shell.serialized import joint_state
-from mbd_ros.scene.check import tier
+from mbd_ros.nodes.shell.stream_parameters import tuning
+from mbd_ros.scene.describe.check import tier
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from mbd_ros.core.estimation.torque_estimator import Observation
-from mbd_ros.core.inverse.observed_power import ObservedPower
-from mbd_ros.core.inverse.torques import SampleSolver, Torques
+from mbd_ros.core.inverse_dynamics.observed_power import ObservedPower
+from mbd_ros.core.inverse_dynamics.torque_estimator import Observation
+from mbd_ros.core.inverse_dynamics.torques import SampleSolver, Torques
 from mbd_ros.scene.built_scene import Scene
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Iterator, Mapping
 from time import monotonic
 
-from mbd_ros.core.estimation.torque_estimator import Observation
+from mbd_ros.core.inverse_dynamics.torque_estimator import Observation
 from mbd_ros.core.model.wrenches import WrenchBuffer
 from mbd_ros.core.state import Array
 

@@ -7,7 +7,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
-from mbd_ros.core.estimation.differentiation import SampleStatus
+from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
 from mbd_ros.nodes.marker_kinematics.parameters import PARAMETERS

@@ -1,8 +1,8 @@
 """Parameters of the node `marker_kinematics`."""
 
-from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS as INVERSE_DYNAMICS
-from mbd_ros.nodes.inverse_dynamics.parameters import tunable
 from mbd_ros.nodes.shell.parameters import Parameter
+from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS
+from mbd_ros.nodes.shell.stream_parameters import tunable
 
 _SHARED = ("scene", "allow_code", "cutoff", "rewind", "clock_tolerance")
 

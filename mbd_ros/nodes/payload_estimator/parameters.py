@@ -1,7 +1,7 @@
 """Parameters of the node `payload_estimator`."""
 
-from mbd_ros.nodes.inverse_dynamics.parameters import STREAM, tunable
 from mbd_ros.nodes.shell.parameters import Parameter
+from mbd_ros.nodes.shell.stream_parameters import STREAM, tunable
 
 _SHARED = (
     *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),

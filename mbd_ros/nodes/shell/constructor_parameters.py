@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from mbd_ros.nodes.shell.parameters import Parameter
-from mbd_ros.scene.arguments import Argument, arguments
+from mbd_ros.scene.schema.arguments import Argument, arguments
 
 
 def of(

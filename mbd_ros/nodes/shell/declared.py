@@ -108,7 +108,7 @@ class Declared:
         return value
 
     def _unknown(self, name: str) -> str:
-        from mbd_ros.scene.renamed import renamed  # here, since it serves errors only
+        from mbd_ros.scene.schema.renamed import renamed  # here, since it serves errors only
 
         near = difflib.get_close_matches(name, self._specs, 1)
         guess = f" (did you mean '{near[0]}'?)" if near else ""

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from mbd_ros.core.parts import Actuator
+from mbd_ros.core.contracts.parts import Actuator
 from mbd_ros.nodes.shell.parameters import ParameterError
 
 

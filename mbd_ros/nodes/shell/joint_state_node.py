@@ -9,7 +9,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from mbd_ros.core.estimation.differentiation import SampleStatus
+from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.core.state import NANOSECOND
 from mbd_ros.nodes.shell.clock_watch import SimulatedClock
 from mbd_ros.nodes.shell.scene_node import SceneNode

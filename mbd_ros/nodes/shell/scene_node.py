@@ -10,8 +10,8 @@ from std_msgs.msg import String
 
 from mbd_ros.errors import MbdError
 from mbd_ros.nodes.shell.shell import Shell
-from mbd_ros.scene.code_permission import permitting
 from mbd_ros.scene.reader import description_topic
+from mbd_ros.scene.schema.code_permission import permitting
 
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 

@@ -7,14 +7,14 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped, WrenchStamped
 from sensor_msgs.msg import Imu as ImuMessage
 
+from mbd_ros.core.contracts.sensor import Sensor
+from mbd_ros.core.kinematics.rotations import quaternion_vector, vector_quaternion
 from mbd_ros.core.model.joints import child_link
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.rotations import quaternion_vector, vector_quaternion
-from mbd_ros.core.sensor import Sensor
 from mbd_ros.core.state import Array
-from mbd_ros.sensors.imu import Imu
-from mbd_ros.sensors.pose import Pose
-from mbd_ros.sensors.wrench import Wrench
+from mbd_ros.parts.sensors.imu import Imu
+from mbd_ros.parts.sensors.pose import Pose
+from mbd_ros.parts.sensors.wrench import Wrench
 from msg_adapters.errors import MessageError
 from msg_adapters.imu import read_imu, write_imu
 from msg_adapters.pose import read_pose, write_pose

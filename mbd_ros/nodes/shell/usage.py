@@ -37,7 +37,7 @@ def asks_for_help(arguments: Sequence[str], name: str) -> bool:
 
 def usage(name: str, parameters: Sequence[Parameter]) -> str:
     """Text for --help: how to start the node, and every parameter with its default."""
-    from mbd_ros.nodes.params_file import meaning  # here, since nodes start without it
+    from mbd_ros.nodes.shell.params_file import meaning  # here, since nodes start without it
 
     lines = [
         f"usage: ros2 run mbd_ros {name} --ros-args -p scene:=SCENE [-p NAME:=VALUE] "

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from mbd_ros.scene.part_entries import MeasuredWrench
+from mbd_ros.scene.reading.part_entries import MeasuredWrench
 from msg_adapters.errors import MessageError
 from msg_adapters.wrench import WrenchSample, read_wrench
 

@@ -60,7 +60,7 @@ class SimulatorOutputs:
             self._sensed = SensorTopics(node, plant.live, plant.scene.sensors, plant.seed, STATES)
         self._contacts = None
         if plant.live.showing.cones:
-            from mbd_ros.nodes.simulator.contacts import ContactTopics  # only with contacts
+            from mbd_ros.nodes.shell.contact_topics import ContactTopics  # only with contacts
 
             self._contacts = ContactTopics(node, plant.live, plant.scene.robot, STATES)
 

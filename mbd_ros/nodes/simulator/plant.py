@@ -13,8 +13,8 @@ from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.simulation.command_watch import CommandWatch
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.topics import WORLD, by_member
+from mbd_ros.nodes.shell.command_inputs import command_reader
 from mbd_ros.nodes.shell.wrenches import read_load
-from mbd_ros.nodes.simulator.commands import command_reader
 from mbd_ros.nodes.simulator.pushes import Pushes
 from mbd_ros.scene.built_scene import Scene, Tell
 from mbd_ros.scene.reader import load_scene
@@ -205,7 +205,7 @@ class Plant:
         if any(block.part.stops for block in system.layout.yielding):
             details["stops passed"] = "; ".join(live.simulation.passed_stops()) or "none"
         if live.showing.cones:
-            from mbd_ros.nodes.simulator.contacts import contact_details  # only with contacts
+            from mbd_ros.nodes.shell.contact_topics import contact_details  # only with contacts
 
             details |= contact_details(live)
         if system.bounded is not None:
@@ -227,7 +227,7 @@ def _odometry(scene: Scene) -> list[Any]:
 
 def _event_table() -> Callable[["Simulation", Sequence["Event"]], "Table"]:
     """What makes a table of events."""
-    from mbd_ros.jobs.simulate.events import event_table  # only where something may happen
+    from mbd_ros.features.simulation.events import event_table  # only where something may happen
 
     return event_table
 

@@ -10,15 +10,15 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.sensor import Sensor
+from mbd_ros.core.contracts.sensor import Sensor
 from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.core.simulation.noisy_sensors import NoisySensors
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.nodes.shell.sensor_messages import sensor_messages
 from mbd_ros.nodes.shell.shell import Shell
-from mbd_ros.sensors.effort import Effort
-from mbd_ros.sensors.encoder import Encoder
-from mbd_ros.sensors.tachometer import Tachometer
+from mbd_ros.parts.sensors.effort import Effort
+from mbd_ros.parts.sensors.encoder import Encoder
+from mbd_ros.parts.sensors.tachometer import Tachometer
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 

@@ -4,12 +4,12 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from mbd_ros.core.estimation.tracker import Tracker
-from mbd_ros.estimators.moving_horizon import MovingHorizon
-from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS as INVERSE_DYNAMICS
+from mbd_ros.features.estimation.task import EstimateTask
+from mbd_ros.features.estimation.tracker import Tracker
 from mbd_ros.nodes.shell.constructor_parameters import of
 from mbd_ros.nodes.shell.parameters import Parameter, ParameterError
-from mbd_ros.scene.estimate_task import EstimateTask
+from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS
+from mbd_ros.parts.estimators.moving_horizon import MovingHorizon
 
 _SHARED = ("scene", "allow_code", "timeout", "clock_tolerance")
 _TASK = (

@@ -6,22 +6,22 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.estimation.lag_window import LagWindow
-from mbd_ros.core.estimation.tracker import Taken, Tracker
 from mbd_ros.core.model.wrenches import WrenchBuffer
 from mbd_ros.core.state import NANOSECOND, Array
-from mbd_ros.estimators.moving_horizon import MovingHorizon
-from mbd_ros.jobs.estimate.estimation import EFFORTS, estimation_of
-from mbd_ros.jobs.estimate.unknowns import inner
+from mbd_ros.features.estimation.estimation import EFFORTS, estimation_of
+from mbd_ros.features.estimation.lag_window import LagWindow
+from mbd_ros.features.estimation.tracker import Taken, Tracker
+from mbd_ros.features.estimation.unknowns import inner
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.shell.sensor_messages import sensor_messages
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages, EstimateWriter
 from mbd_ros.nodes.state_estimator.parameters import TRACKER, task_of
+from mbd_ros.parts.estimators.moving_horizon import MovingHorizon
+from mbd_ros.parts.sensors.effort import Effort
+from mbd_ros.parts.sensors.encoder import Encoder
+from mbd_ros.parts.sensors.tachometer import Tachometer
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.sensors.effort import Effort
-from mbd_ros.sensors.encoder import Encoder
-from mbd_ros.sensors.tachometer import Tachometer
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader

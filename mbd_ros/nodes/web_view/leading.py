@@ -9,7 +9,7 @@ from geometry_msgs.msg import WrenchStamped
 from rclpy.publisher import Publisher
 from sensor_msgs.msg import JointState
 
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.state import Array
 from mbd_ros.nodes.shell.shell import Shell

@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
-from mbd_ros.core.dynamics.showing import Showing
-from mbd_ros.core.model.kinematics import Kinematics
+from mbd_ros.core.dynamics.output_values import Showing
+from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-from mbd_ros.nodes.simulator.contacts import contacts_of, topic_of
+from mbd_ros.nodes.shell.contact_topics import contacts_of, topic_of
 from mbd_ros.nodes.web_view.newest import Newest
 from mbd_ros.scene.built_scene import Scene
 from msg_adapters.errors import MessageError

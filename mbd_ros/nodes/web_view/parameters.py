@@ -1,7 +1,7 @@
 """Parameters of the node `web_view`."""
 
-from mbd_ros.nodes.inverse_dynamics.parameters import ALLOW_CODE
 from mbd_ros.nodes.shell.parameters import Parameter
+from mbd_ros.nodes.shell.stream_parameters import ALLOW_CODE
 
 FASTEST = 30.0  # Hz, to browsers
 

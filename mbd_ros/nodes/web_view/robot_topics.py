@@ -10,8 +10,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
-from mbd_ros.core.model.base_motion import configuration_of
-from mbd_ros.core.model.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.free_bases import configuration_of
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.state import NANOSECOND, State
 from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic

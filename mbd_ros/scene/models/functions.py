@@ -5,7 +5,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from mbd_ros.core.model.coupling_functions import CouplingFunction
-from mbd_ros.scene.coupling_entries import one_function
+from mbd_ros.scene.reading.coupling_entries import one_function
 
 Entry = Mapping[str, Any]
 

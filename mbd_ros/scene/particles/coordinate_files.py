@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.particles.units import ANGSTROM, NANOMETRE
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.strict_yaml import read_text
+from mbd_ros.scene.schema.strict_yaml import read_text
 
 _LONGEST = 200_000_000  # bytes
 

@@ -12,7 +12,7 @@ from mbd_ros.core.particles.particle_system import ParticleSystem
 from mbd_ros.core.particles.settle import SettledCluster
 from mbd_ros.core.particles.units import Units
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.part_lines import line
+from mbd_ros.scene.describe.part_lines import line
 from mbd_ros.scene.particles.particle_scene import ParticleScene
 
 _STEPS = 20

@@ -9,7 +9,7 @@ import numpy as np
 from mbd_ros.core.particles.fields import Field, PolynomialField, UniformField
 from mbd_ros.core.ranges import Vector
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import schema
+from mbd_ros.scene.schema import schema
 
 _HIGHEST = 12  # power of a coordinate
 

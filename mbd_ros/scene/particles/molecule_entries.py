@@ -11,9 +11,9 @@ from mbd_ros.core.particles.molecules import Molecules
 from mbd_ros.core.ranges import NotNegative, Positive, Vector, Within
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError, SolveError
-from mbd_ros.scene import schema
-from mbd_ros.scene.part_names import checked_name
 from mbd_ros.scene.particles.molecule_rows import Template, joined, surfaces
+from mbd_ros.scene.reading.part_names import checked_name
+from mbd_ros.scene.schema import schema
 
 MOST = 3_000_000  # points
 _WHOLE = 1.0e-6  # what weights may miss to 1, as they are rounded in files

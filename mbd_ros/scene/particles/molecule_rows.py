@@ -12,8 +12,8 @@ from mbd_ros.core.particles.row_geometry import DistanceRow, PointRow, SurfaceRo
 from mbd_ros.core.ranges import Positive, Vector, Within
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import schema
-from mbd_ros.scene.nearest import nearest
+from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.nearest import nearest
 
 Angle = Annotated[float, Within(0.0, math.pi)]
 _SURFACES = ("sphere", "ellipsoid", "plane", "quadric")

@@ -14,10 +14,10 @@ from mbd_ros.core.particles.units import Units
 from mbd_ros.core.ranges import Positive
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import schema
 from mbd_ros.scene.particles.molecule_entries import Atom, MoleculeEntry, Site
+from mbd_ros.scene.schema import schema
 
-_TREE = "mbd_ros.neighbours.tree"
+_TREE = "mbd_ros.scene.particles.neighbour_tree"
 _OVERLAP = 0.4  # of sigma: nearer points have energies that no liquid has
 _ON_ONE_PLACE = 0.1  # of the largest sigma: the same of points that only have charges
 

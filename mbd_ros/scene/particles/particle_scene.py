@@ -12,10 +12,10 @@ from mbd_ros.core.particles.units import Units
 from mbd_ros.core.particles.verlet_steps import ParticleVerlet
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.scene.building import NO_FILE, Origin, build, present, refuse_unknown
-from mbd_ros.scene.part_entries import build_part
 from mbd_ros.scene.particles.particles_entry import Particles, Record
-from mbd_ros.scene.sections import PARTICLES, keys
+from mbd_ros.scene.reading.building import NO_FILE, Origin, build, present, refuse_unknown
+from mbd_ros.scene.reading.part_entries import build_part
+from mbd_ros.scene.schema.sections import PARTICLES, keys
 
 METHODS = ("rattle", "shake")
 

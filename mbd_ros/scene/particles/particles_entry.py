@@ -12,13 +12,13 @@ from mbd_ros.core.particles.units import Units
 from mbd_ros.core.ranges import LARGEST, NotNegative, Vector, Within
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SceneError, SolveError
-from mbd_ros.scene import schema
-from mbd_ros.scene.building import Site
-from mbd_ros.scene.nearest import nearest
 from mbd_ros.scene.particles.field_entries import read_fields
 from mbd_ros.scene.particles.molecule_entries import MOST, MoleculeEntry, read_molecule
 from mbd_ros.scene.particles.pair_entries import read_pairs, refuse_overlap
 from mbd_ros.scene.particles.placement import Room, placed
+from mbd_ros.scene.reading.building import Site
+from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.nearest import nearest
 
 Seed = Annotated[int, Within(0, 2**63 - 1)]
 Step = Annotated[float, Within(1.0e-30, LARGEST)]

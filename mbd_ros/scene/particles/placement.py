@@ -14,8 +14,8 @@ from mbd_ros.core.particles.units import Units
 from mbd_ros.core.ranges import Within
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
-from mbd_ros.scene import schema
 from mbd_ros.scene.particles.molecule_entries import MoleculeEntry
+from mbd_ros.scene.schema import schema
 
 _UNLIKE = 0.4  # of a length: what its bond in a file differs by, if it is that bond
 
@@ -99,8 +99,8 @@ def _rotations(unit: Array) -> Array:
 
 
 def _from_file(kind: Molecules, name: str, room: Room, where: str) -> Array:
-    from mbd_ros.scene.locate import find_file
     from mbd_ros.scene.particles.coordinate_files import read_coordinates
+    from mbd_ros.scene.schema.locate import find_file
 
     path = find_file(room.folder, name, f"{where}.file")
     if not room.units.sizes:

@@ -5,7 +5,7 @@ from typing import Any
 
 from mbd_ros.core.particles.units import MOLECULAR, REDUCED, SI, UNITS, Units
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.building import Site
+from mbd_ros.scene.reading.building import Site
 
 _KEYS = ("length", "time", "mass")
 _ACCEPTED = (

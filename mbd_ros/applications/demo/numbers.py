@@ -1,0 +1,170 @@
+"""Results of a demo, as numbers of its recording."""
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.applications.demo.files import PLANT, RATE
+from mbd_ros.applications.demo.signals import Series, Signals
+from mbd_ros.applications.demo.summary import Check
+from mbd_ros.core.names import without_multiplier
+from mbd_ros.core.rows.constraint import Row
+from mbd_ros.core.state import NONE, Array
+from mbd_ros.parts.forces.prescribed_torque import PrescribedTorque
+from mbd_ros.scene.reader import load_scene
+
+SETTLED = 1.0  # s from which numbers count: hand-over, ramp of the reference and filters are over
+_OPEN = 1.0e-9  # rad or m, rad/s or m/s: of constraints that are projected in every step
+_LOST = 0.02  # of commands or estimates: a recorder that the machine keeps waiting
+_MILLISECOND = 1.0e6  # ns
+
+
+class Latency(NamedTuple):
+    """Time from a joint state to the command that answers it, both when published [ms]."""
+
+    median: float
+    p99: float
+    longest: float
+
+
+class DemoNumbers:
+    """Numbers of a demo; arrays have one row a joint state from `SETTLED` on.
+
+    Args:
+        signals: The recording.
+        folder: With the scene of the plant, which knows the disturbance.
+
+    Attributes:
+        signals: As given.
+        joints: Actuated joints, in the order of the commands; one column each.
+        plant: Scene of the plant.
+        time: [s], shape (k,).
+        commands: [N·m], shape (k, n).
+        estimates: Of the inverse dynamics [N·m], shape (k, n).
+        disturbance: [N·m], shape (k, n).
+    """
+
+    def __init__(self, signals: Signals, folder: Path) -> None:
+        self.signals, self.joints = signals, signals.loop.names
+        self.plant = load_scene(folder / PLANT)
+        self.time = signals.torques.time[signals.torques.time >= SETTLED]
+        answered = signals.states.time[self._answered]
+        self.commands = self.at(self.time, answered, signals.commands)
+        self.estimates = self._settled(signals.torques).effort
+        self.disturbance = self.disturbance_at(self.time)
+
+    @cached_property
+    def rows(self) -> Sequence[Row]:
+        """Constraint rows of the plant, in the order of their forces."""
+        rows = self.plant.simulation().system.multiplier_rows
+        return [row._replace(name=without_multiplier(row.name)) for row in rows]
+
+    def disturbance_at(self, times: Array) -> Array:
+        """The disturbance [N·m], shape (k, n), at times [s]."""
+        (part,) = [force for force in self.plant.forces if isinstance(force, PrescribedTorque)]
+        rows = [self.plant.robot.joint(name).v for name in self.joints]
+        k, x = self.plant.system().k, self.plant.initial
+        return np.array([part.force(k, x._replace(t=t), NONE)[rows] for t in times.tolist()])
+
+    @staticmethod
+    def at(times: Array, known: Array, values: Array) -> Array:
+        """Columns of `values`, linear between the times `known`, at other times."""
+        return np.column_stack([np.interp(times, known, column) for column in values.T])
+
+    def loop(self) -> Series:
+        """The tracking of the controller, settled."""
+        series = self.signals.loop
+        return _cut(series, series.time >= SETTLED)
+
+    def reference_at(self, times: Array) -> Array:
+        """Measured positions less tracking errors [rad], shape (k, n), at times [s]."""
+        states, loop = self.signals.states, self.signals.loop
+        measured = self.at(loop.time, states.time, states.position[:, states.columns(self.joints)])
+        return self.at(times, loop.time, measured - loop.position)
+
+    @cached_property
+    def latency(self) -> Latency:
+        """From joint states to commands."""
+        sent = self.signals.states.log[self._answered]
+        took = (self.signals.command_log - sent) / _MILLISECOND
+        return Latency(*np.percentile(took, [50, 99, 100]).tolist())
+
+    @cached_property
+    def real_time_factor(self) -> float:
+        """Simulated seconds per second."""
+        states = self.signals.states
+        seconds = (states.log[-1] - states.log[0]) * 1e-9
+        return float(states.time[-1] - states.time[0]) / max(float(seconds), 1e-9)
+
+    @cached_property
+    def violation(self) -> tuple[float, float]:
+        """Largest violation of positions and of velocities in the reports of the simulator."""
+        values = [health.values for health in self.signals.health]
+        return (
+            max(float(v["drift of positions"]) for v in values),
+            max(float(v["drift of velocities"]) for v in values),
+        )
+
+    def force_errors(self) -> Array | None:
+        """RMS of estimated against true multipliers of the dependent joints, shape (n_d,)."""
+        estimated, true = self.signals.coupling, self.signals.forces
+        if estimated is None or true is None:
+            return None
+        settled = _cut(estimated, estimated.time >= SETTLED)
+        known = true.effort[:, true.columns(settled.names)]
+        return rms(settled.effort - self.at(settled.time, true.time, known))
+
+    def checks(self) -> list[Check]:
+        """The checks of every demo."""
+        signals, ticks = self.signals, len(self.signals.states.time)
+        expected = round((signals.states.time[-1] - signals.states.time[0]) * RATE) + 1
+        answers, opened = len(signals.loop.time), max(self.violation)
+        kept = {"commands": len(signals.commands), "torque estimates": len(signals.torques.time)}
+        return [
+            Check("every number is finite", self._is_finite(), f"{ticks} joint states"),
+            Check("no joint state is missing", ticks == expected, f"{ticks} of {expected}"),
+            Check("the controller answered each", answers == ticks, f"{answers} of {ticks}"),
+            Check(
+                f"at most {100 * _LOST:g} % were not recorded",
+                min(kept.values()) >= (1.0 - _LOST) * ticks,
+                ", ".join(f"{count} {what}" for what, count in kept.items()),
+            ),
+            Check(f"constraint violation <= {_OPEN:g}", opened <= _OPEN, f"{opened:.2g}"),
+        ]
+
+    @property
+    def _answered(self) -> NDArray[np.intp]:
+        """Which joint state each command answers: the newest one, as time stands in between."""
+        signals = self.signals
+        before = np.searchsorted(signals.states.log, signals.command_log, side="right") - 1
+        return np.maximum(before, 0)
+
+    def _settled(self, series: Series) -> Series:
+        """The columns of the joints, from `SETTLED` on."""
+        columns = series.columns(self.joints)
+        rows = series.time >= SETTLED
+        return Series(
+            self.joints,
+            series.log[rows],
+            series.time[rows],
+            *(values[rows][:, columns] for values in series[3:]),
+        )
+
+    def _is_finite(self) -> bool:
+        states, loop, torques = self.signals[:3]
+        arrays: Sequence[Array] = (*states[3:], *loop[3:], *torques[3:], self.signals.commands)
+        forces = [s.effort for s in (self.signals.forces, self.signals.coupling) if s is not None]
+        return all(np.isfinite(values).all() for values in (*arrays, *forces))
+
+
+def rms(values: Array) -> Array:
+    """Root mean square of every column."""
+    return np.sqrt(np.mean(values**2, axis=0))
+
+
+def _cut(series: Series, rows: NDArray[np.bool_]) -> Series:
+    return Series(series.names, *(values[rows] for values in series[1:]))

@@ -1,0 +1,109 @@
+"""The page of a demo, in one file: what moves in it runs a script, in a frame of its own."""
+
+from base64 import b64encode
+from collections.abc import Iterator, Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import NamedTuple
+
+from mbd_ros.applications.demo.summary import Table
+from mbd_ros.view.recording import POLICY
+
+_STYLE = """
+.plots { display: grid; gap: 0 1.5rem;
+  grid-template-columns: repeat(auto-fit, minmax(min(100%, 24rem), 1fr)); }
+.plots figure { margin: .8rem 0; } .plots figcaption { font-weight: 600; margin-bottom: .3rem; }
+.moving { margin: 1.2rem 0; } .moving figcaption { color: var(--soft); font-size: .9rem; }
+.moving iframe { width: 100%; max-width: 60rem; height: min(30rem, 75vh);
+  border: 1px solid var(--line); border-radius: .4rem; }
+table { width: auto; } thead th.number { white-space: normal; }
+@media (max-width: 40rem) { td.number { white-space: normal; }
+  tr > :first-child { max-width: none; overflow-wrap: normal; } }
+@media print { .moving { display: none; } .plots { display: block; }
+  .plots figure { display: inline-block; width: 48%; vertical-align: top; }
+  .plots figure img { max-height: 165mm; } }
+"""
+
+
+class Content(NamedTuple):
+    """Contents of a page.
+
+    Attributes:
+        title: Heading.
+        facts: Line below it.
+        failed: Checks that are not met.
+        text: Paragraphs.
+        moving: What moves, HTML, and a line below it.
+        pictures: Caption -> PNG.
+        tables: The summary.
+        made: Name -> value, how it was made.
+    """
+
+    title: str
+    facts: str
+    failed: Sequence[str]
+    text: Sequence[str]
+    moving: tuple[str, str]
+    pictures: Mapping[str, bytes]
+    tables: Sequence[Table]
+    made: Mapping[str, str]
+
+
+def page(content: Content) -> str:
+    """The page as HTML."""
+    shared = Path(__file__).parents[1] / "report/page.css"
+    style = shared.read_text(encoding="utf-8") + _STYLE
+    html, caption = content.moving
+    return "\n".join(
+        [
+            "<!DOCTYPE html>",
+            '<html lang="en"><head><meta charset="utf-8">',
+            f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
+            '<meta name="viewport" content="width=device-width, initial-scale=1">',
+            '<link rel="icon" href="data:,">',
+            f"<title>{escape(content.title)}</title><style>{style}</style></head><body>",
+            f"<header><h1>{escape(content.title)}</h1>",
+            f'<p class="facts">{escape(content.facts)}</p>',
+            _verdict(content.failed),
+            *(f"<p>{escape(text)}</p>" for text in content.text),
+            "</header>",
+            f'<figure class="moving">{html}<figcaption>{escape(caption)}</figcaption></figure>',
+            '<section class="plots">',
+            *(_figure(caption, png) for caption, png in content.pictures.items()),
+            "</section><section>",
+            *(line for table in content.tables for line in _table(table)),
+            "</section><section><h2>How it was made</h2>",
+            f"<dl>{_pairs(content.made)}</dl></section>",
+            "</body></html>\n",
+        ]
+    )
+
+
+def _verdict(failed: Sequence[str]) -> str:
+    if not failed:
+        return '<div class="verdict"><strong>All checks are met.</strong></div>'
+    rows = "".join(f"<li>{escape(line)}</li>" for line in failed)
+    return f'<div class="verdict bad"><strong>Not met:</strong><ul>{rows}</ul></div>'
+
+
+def _figure(caption: str, png: bytes) -> str:
+    data, text = b64encode(png).decode(), escape(caption, quote=True)
+    image = f'<img alt="{text}" src="data:image/png;base64,{data}">'
+    return f"<figure><figcaption>{text}</figcaption>{image}</figure>"
+
+
+def _table(table: Table) -> Iterator[str]:
+    yield f'<h3>{escape(table.title)}</h3><div class="scroll"><table><thead><tr>'
+    for i, text in enumerate(table.columns):
+        number = ' class="number"' if i else ""
+        yield f'<th scope="col"{number}>{escape(text)}</th>'
+    yield "</tr></thead><tbody>"
+    for name, *cells in table.rows:
+        numbers = "".join(f'<td class="number">{escape(cell)}</td>' for cell in cells)
+        label = escape(name).replace("/", "/<wbr>").replace("_", "_<wbr>")
+        yield f'<tr><th scope="row">{label}</th>{numbers}</tr>'
+    yield "</tbody></table></div>"
+
+
+def _pairs(made: Mapping[str, str]) -> str:
+    return "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in made.items())

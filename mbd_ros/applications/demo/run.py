@@ -1,0 +1,148 @@
+"""A simulated robot controlled over topics, the inverse dynamics watching: `mbd-ros demo`."""
+
+import platform
+from collections.abc import Iterator
+from datetime import datetime, timezone
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mbd_ros.applications.demo.choices import LAWS, ROBOTS
+from mbd_ros.applications.demo.files import (
+    BAG,
+    KNOWN,
+    MASS_SCALE,
+    OF_LOOP,
+    PAGE,
+    PICTURE,
+    PLANT,
+    RATE,
+    write_gains,
+    write_scenes,
+)
+from mbd_ros.applications.demo.folder import replacing_folder
+from mbd_ros.applications.demo.loop import CUTOFF, LoopRun, record_loop
+from mbd_ros.applications.demo.moving import moving_run
+from mbd_ros.applications.demo.numbers import DemoNumbers
+from mbd_ros.applications.demo.page import Content, page
+from mbd_ros.applications.demo.plot import overview, pictures
+from mbd_ros.applications.demo.processes import Failed
+from mbd_ros.applications.demo.signals import read_signals
+from mbd_ros.applications.demo.summary import Table, lines
+from mbd_ros.applications.demo.tables import tables
+from mbd_ros.applications.demo.task import DISTURBANCE_SHARE, disturbance, trajectory
+from mbd_ros.errors import DataError
+from mbd_ros.scene.reader import load_scene
+
+SHORTEST, LONGEST = 2.0, 60.0  # s
+_MOVES = (
+    "The recorded motion; arrows are the forces of its constraints. Drag to turn, scroll to zoom."
+)
+_PACKAGES = ("numpy", "pin", "ros-jazzy-rclpy")
+
+
+class Demo(NamedTuple):
+    """Order of a demo.
+
+    Attributes:
+        robot: A key of `ROBOTS`.
+        out: Folder for recording, scenes, picture and page.
+        time: Simulated time [s].
+        law: A key of `LAWS`.
+    """
+
+    robot: str
+    out: Path
+    time: float = 10.0
+    law: str = "sliding_mode"
+
+
+def demo(order: Demo) -> Iterator[str]:
+    """Run a demo.
+
+    Yields:
+        What happens, then the summary.
+
+    Raises:
+        DataError: A time or a place that is not accepted.
+        Failed: A node died, the loop stood still (nothing is left), or a check is not met.
+    """
+    if not SHORTEST <= order.time <= LONGEST:
+        raise DataError(f"time {order.time:g} s: accepted are {SHORTEST:g} to {LONGEST:g} s")
+    with replacing_folder(order.out, KNOWN) as folder:
+        run, gains = _prepare(order, folder)
+        robot, law = ROBOTS[order.robot], order.law.replace("_", " ")
+        yield f"{robot.title}, {law}, {order.time:g} s over topics ..."
+        record_loop(run, folder / BAG)
+        for log in folder.glob("*.log"):
+            log.unlink()
+        numbers = DemoNumbers(read_signals(folder / BAG, run.controller), folder)
+        summary = tables(numbers)
+        failed = [f"{c.what}: {c.found}" for c in numbers.checks() if not c.is_met]
+        (folder / PICTURE).write_bytes(overview(numbers))
+        moving = moving_run(numbers, folder / BAG, robot.title)
+        text = page(_content(order, numbers, summary, failed, gains, moving))
+        (folder / PAGE).write_text(text, encoding="utf-8")
+    for table in summary:
+        yield from lines(table)
+    yield f"\nrecording, scenes, picture and page: {order.out}; open {PAGE} there"
+    if failed:
+        raise Failed("; ".join(failed))
+
+
+def _prepare(order: Demo, folder: Path) -> tuple[LoopRun, dict[str, Any]]:
+    """The order of the run, with its files written, and the parameters of the controller."""
+    robot = ROBOTS[order.robot]
+    scene = load_scene(robot.scene)
+    joints = scene.controlled_joints()
+    reference = trajectory(robot, joints.positions(scene.initial), order.time)
+    write_scenes(folder, robot, joints.names, disturbance(scene, reference))
+    gains = write_gains(folder, robot, order.law, scene)
+    rows = load_scene(folder / PLANT).simulation().system.multiplier_rows
+    run = LoopRun(
+        folder,
+        scene.path,
+        order.law,
+        joints.names,
+        reference,
+        order.time,
+        has_rows=bool(rows),
+        has_coupling=bool(scene.couplings.dependent),
+    )
+    return run, gains
+
+
+def _content(
+    order: Demo,
+    numbers: DemoNumbers,
+    summary: list[Table],
+    failed: list[str],
+    gains: dict[str, Any],
+    moving: str,
+) -> Content:
+    robot, law = ROBOTS[order.robot], order.law.replace("_", " ")
+    begin = datetime.fromtimestamp(numbers.signals.states.log[0] * 1e-9, tz=timezone.utc)
+    lighter = f"{100 * abs(1 - MASS_SCALE):.0f} % too light"
+    share = f"{100 * DISTURBANCE_SHARE:.0f} %"
+    text = [
+        "Simulator, controller and inverse dynamics are processes of their own that talk over "
+        f"DDS. The model of the controller ({LAWS[order.law]}) is {lighter}, in every mass and "
+        "inertia. "
+        f"A sinusoidal torque of {share} of the largest gravity torque disturbs each joint; only "
+        "the simulator knows it. The inverse dynamics has the true masses: its estimate is the "
+        "command and the disturbance together.",
+        f"The simulator is in lock step at {RATE} Hz: every command advances time by one tick, "
+        "and the others live in its /clock. A loaded machine makes the demo slower, not "
+        "different; latencies and rates are those of this machine.",
+    ]
+    made = {
+        "Gains": ", ".join(f"{k.removeprefix('gains.')} {v}" for k, v in gains.items()),
+        "Inverse dynamics": f"causal derivatives, {CUTOFF:g} Hz",
+        "Files": ", ".join(OF_LOOP),
+        "Versions": ", ".join(f"{name} {version(name)}" for name in _PACKAGES),
+        "Machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
+    }
+    facts = f"{begin:%Y-%m-%d %H:%M} UTC, {law}, {order.time:g} s of simulated time."
+    title = f"Demo: {robot.title}"
+    moves = (moving, _MOVES)
+    return Content(title, facts, failed, text, moves, pictures(numbers), summary, made)

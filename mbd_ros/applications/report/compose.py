@@ -1,0 +1,202 @@
+"""From parts to a page: `mbd-ros report`."""
+
+import json
+import math
+import time
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from datetime import datetime, timezone
+from io import BytesIO
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mbd_ros.applications.report import items
+from mbd_ros.applications.report.items import Item, Section
+from mbd_ros.applications.report.machine import git_state, machine, package_versions
+from mbd_ros.applications.report.page import page
+from mbd_ros.applications.report.program import program
+from mbd_ros.applications.report.scene_pages import scene_pages
+from mbd_ros.applications.report.store import Store
+from mbd_ros.applications.report.subjects import subjects
+from mbd_ros.applications.report.work import collect, finish, label
+from mbd_ros.errors import FAILED, DataError, MbdError
+from mbd_ros.files.replacing import replacing
+from mbd_ros.jobs.workers.opening import open_workers
+from mbd_ros.jobs.workers.remaining import Remaining, spoken
+from mbd_ros.jobs.workers.task import Result
+from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.schema.locate import find_scene
+
+_DPI = 150
+
+
+class Order(NamedTuple):
+    """The order of a user.
+
+    Attributes:
+        scenes: Files, package:// names, or names of embedded scenes; none for all of ours.
+        quick: The short version.
+        out: Folder for page, numbers, plots and results.
+        scheduler: Of a Dask cluster; None for processes of this machine.
+        workers: How many processes; None for one a core.
+        only: Kinds; none for all.
+    """
+
+    scenes: Sequence[str] = ()
+    quick: bool = False
+    out: Path = Path("report_out")
+    scheduler: str | None = None
+    workers: int | None = None
+    only: Sequence[str] = ()
+
+
+class Wrong(MbdError):
+    """A report with something wrong; its page is complete."""
+
+    exit_code = FAILED
+
+
+def report(order: Order) -> Iterator[str]:
+    """Run items without a result, then write page, numbers and plots.
+
+    Yields:
+        What happens, a line each.
+
+    Raises:
+        Wrong: A part or an item has something wrong.
+        DataError: Input that cannot be used.
+    """
+    program.cache_clear()  # of a process that made a report before
+    begin, facts = time.monotonic(), _facts(order)
+    scenes = list(dict.fromkeys(map(_scene, order.scenes)))
+    kinds = [kind for kind in items.PARTS if not order.only or kind in order.only]
+    found = collect(kinds, scenes, order.quick)
+    work = [item for made in found.values() if isinstance(made, list) for item in made]
+    results: dict[str, Result] = {}
+    facts["changed"] = yield from _results(order, work, results)
+    sections = {kind: _section(kind, made, results) for kind, made in found.items()}
+    sections = {k: _asked(s) if k in order.only else s for k, s in sections.items()}
+    facts["pages"] = {}
+    if not (order.quick or order.only):
+        measured = {item.spec.get("scene") for item in work}
+        shown = [subject for subject in subjects(scenes, False) if subject.path in measured]
+        yield from scene_pages(shown, order.out, facts["pages"])
+    facts["duration"] = time.monotonic() - begin
+    wrong = _write(order.out, facts, sections, [(item, results[label(item)]) for item in work])
+    yield f"{len(sections)} sections -> {order.out / 'index.html'}"
+    if wrong:
+        raise Wrong("\n".join([f"{len(wrong)} wrong:", *wrong]))
+
+
+def _results(
+    order: Order, work: Sequence[Item], results: dict[str, Result]
+) -> Generator[str, None, list[str]]:
+    """Fill in stored and new results; returns files that changed meanwhile."""
+    with open_workers(order.scheduler, order.workers) as workers:
+        store = Store(order.out, workers.cpu())
+        results |= {label(item): r for item in work if (r := store.load(item)) is not None}
+        rest = [item for item in work if label(item) not in results]
+        yield f"{len(work)} items, {len(results)} of them done before"
+        if rest:
+            expected = Remaining(rest, workers.count).seconds
+            yield f"{len(rest)} items by {workers.count} workers: about {spoken(expected)}"
+            results |= finish(rest, store, workers, elsewhere=_elsewhere(order))
+    if store.changed:
+        yield f"changed while this ran: {', '.join(store.changed)}; run it again"
+    return list(store.changed)
+
+
+def _facts(order: Order) -> dict[str, Any]:
+    return {
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "quick": order.quick,
+        "scenes": list(order.scenes),
+        "machine": machine(),
+        "versions": package_versions(),
+        "git": git_state(),
+    }
+
+
+def _elsewhere(order: Order) -> bool:
+    return order.scheduler is not None and not order.scheduler.startswith("local:")
+
+
+def _scene(name: str) -> str:
+    """A name that means the same in every worker, of a scene that can be built.
+
+    Raises:
+        MbdError: There is no such scene, or what is wrong with it.
+    """
+    if not name.startswith("package://"):
+        path = find_scene(name)
+        if not path.is_file():
+            raise DataError(f"{name}: does not exist")
+        name = str(path.resolve())
+    load_scene(name)
+    return name
+
+
+def _section(kind: str, made: list[Item] | Section, results: Mapping[str, Result]) -> Section:
+    if isinstance(made, Section):
+        return made
+    mine = [(item, results[label(item)]) for item in made]
+    failures = [f"{label(item)}: {r.failure}" for item, r in mine if r.failure]
+    section = items.part(kind).section([(item, r.value) for item, r in mine if not r.failure])
+    return section._replace(wrong=[*failures, *section.wrong])
+
+
+def _asked(section: Section) -> Section:
+    """Refuse a kind that was asked for by name and has nothing to show, with the reason."""
+    if section.tables or section.wrong:
+        return section
+    reasons = " ".join(section.text)
+    return section._replace(wrong=[f"asked for, but nothing was measured: {reasons}"])
+
+
+def _write(
+    folder: Path,
+    facts: dict[str, Any],
+    sections: Mapping[str, Section],
+    work: Sequence[tuple[Item, Result]],
+) -> list[str]:
+    """Plots first, page last; returns what is wrong."""
+    pictures = {}
+    for section in sections.values():
+        for name, figure in section.figures.items():
+            pictures[name] = _picture(figure)
+            with replacing(folder / f"{name}.png") as file:
+                file.write(pictures[name])
+    wrong = [f"{s.title}: {line}" for s in sections.values() for line in s.wrong]
+    facts["wrong"] = wrong
+    facts["timed"] = sum(item.alone for item, _ in work)
+    facts["cpus"] = sorted({r.cpu for item, r in work if item.alone})
+    facts["work"] = sum(result.seconds for _, result in work)
+    shown = {kind: s._replace(figures=list(s.figures))._asdict() for kind, s in sections.items()}
+    done = [_entry(item, result) for item, result in work]
+    numbers = json.dumps(plain({**facts, "sections": shown, "items": done}), indent=1)
+    with replacing(folder / "report.json") as file:
+        file.write(numbers.encode())
+    with replacing(folder / "index.html") as file:
+        file.write(page(facts, sections, pictures).encode())
+    return wrong
+
+
+def _entry(item: Item, result: Result) -> dict[str, Any]:
+    what = {"failure": result.failure} if result.failure else {"outcome": result.value}
+    return {**item._asdict(), **what, "took": result.seconds, "cpu": result.cpu}
+
+
+def _picture(figure: Any) -> bytes:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def plain(value: Any) -> Any:
+    """The same for readers whose JSON has no NaN and no infinity: these become texts."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return value

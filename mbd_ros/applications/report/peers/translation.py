@@ -1,0 +1,163 @@
+"""Translation of a scene for other packages."""
+
+import inspect
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.applications.report.peers.frame_pairs import Entry, Rows, end_of
+from mbd_ros.applications.report.peers.task import Body, Follow, Spring, Task
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.multiplier_laws import Kind
+from mbd_ros.core.rows.constraint import Constraint
+from mbd_ros.core.state import State
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.schema.sections import SECTIONS, keys
+
+_FORCES = ("joint_friction", "joint_spring", "joint_torque", "point_spring")
+
+
+class Ground(NamedTuple):
+    """The common ground of all packages.
+
+    Attributes:
+        scene: The scene without the loads that no peer has.
+        constraints: Rest of that section.
+        forces: Rest of that section.
+        left: Parts that were left out, such as `forces[1] (switching_force)`.
+    """
+
+    scene: Scene
+    constraints: tuple[Entry, ...]
+    forces: tuple[Entry, ...]
+    left: tuple[str, ...]
+
+
+def common_ground(scene: Scene) -> Ground:
+    """The scene without the loads that no peer has.
+
+    Stops and stiction of peers are soft under all settings; they do not know other forces.
+    """
+    given, foreign = scene.entries, list(keys(scene.sections))[len(SECTIONS) :]
+    scene, left = scene.without(foreign), [f"{key} (section of others)" for key in foreign]
+    kept: dict[str, tuple[Any, ...]] = {}
+    entries: dict[str, tuple[Entry, ...]] = {}
+    for section, parts in (("constraints", scene.constraints), ("forces", scene.forces)):
+        pairs = [
+            (part, _entry(part, entry, f"{section}[{i}]"))
+            for i, (part, entry) in enumerate(zip(parts, given.get(section, ()), strict=True))
+        ]
+        told = [pair for pair in pairs if _is_told(*pair)]
+        left += [
+            f"{entry.where} ({entry.kind})" for part, entry in pairs if not _is_told(part, entry)
+        ]
+        kept[section] = tuple(part for part, _ in told)
+        entries[section] = tuple(entry for _, entry in told)
+    scene = scene.holding(**kept) if left else scene
+    return Ground(scene, entries["constraints"], entries["forces"], tuple(left))
+
+
+def task_of(ground: Ground, states: Sequence[State] = ()) -> Task:
+    """The task of a scene for other packages.
+
+    Args:
+        ground: The scene.
+        states: States of all joints on its motion. They show whether loops that are closed along
+            some directions stay closed along the others.
+
+    Raises:
+        SceneError: It has parts that they cannot express, named.
+    """
+    scene = ground.scene
+    if others := [base.name for base in scene.robot.bases if base.joint > 1]:
+        raise SceneError(f"bodies: peers take one free body, the first, not {', '.join(others)}")
+    simulation = scene.simulation()
+    x = simulation.system.expand(simulation.start(scene.initial))
+    rows = Rows(scene, [x, *states])
+    for entry in ground.constraints:
+        rows.add(entry)
+    return Task(
+        np.array(scene.robot.model.gravity.linear),
+        (None, *_bodies(scene, ground.forces)),
+        scene.robot.floating,
+        x.q,
+        x.v,
+        (*_couplings(scene), *rows.follows),
+        tuple(rows.points),
+        tuple(rows.welds),
+        tuple(rows.bars),
+        tuple(_springs(scene, ground.forces)),
+    )
+
+
+def _is_told(part: Any, entry: Entry) -> bool:
+    if entry.kind in _FORCES:
+        return entry.words.get("coulomb", 0.0) == 0.0
+    return isinstance(part, Constraint) and part.law.kind in (Kind.BILATERAL, Kind.DRIVE)
+
+
+def _entry(part: Any, given: Mapping[str, Any], where: str) -> Entry:
+    accepted = inspect.signature(type(part)).parameters.values()
+    defaults = {p.name: p.default for p in accepted if p.default is not inspect.Parameter.empty}
+    kind = given["type"]  # a class, where Python made the scene
+    return Entry(kind if isinstance(kind, str) else kind.__name__, {**defaults, **given}, where)
+
+
+def _bodies(scene: Scene, forces: Sequence[Entry]) -> Iterator[Body]:
+    robot = scene.robot
+    model, data = robot.model, robot.model.createData()
+    pin.forwardKinematics(model, data, robot.neutral(), np.zeros(model.nv))
+    names = {joint.v: joint.name for joint in robot.joints}
+    for i in range(1, model.njoints):
+        joint, place, inertia = model.joints[i], model.jointPlacements[i], model.inertias[i]
+        common = int(model.parents[i]), place
+        if joint.nv > 1:
+            yield Body("base", *common, np.zeros(3), False, inertia)
+            continue
+        subspace = np.asarray(data.joints[i].S).reshape(6)
+        slides = bool(subspace[:3].any())
+        axis = subspace[:3] if slides else subspace[3:]
+        name = names[joint.idx_v]
+        loads = _joint_loads(name, forces)
+        armature = float(model.armature[joint.idx_v])
+        yield Body(name, *common, axis, slides, inertia, armature, *loads)
+
+
+def _joint_loads(name: str, forces: Sequence[Entry]) -> tuple[float, float, float, float]:
+    """Stiffness, rest position, damping and torque of all that acts in a joint.
+
+    Springs add up to one at the position at which they are in balance.
+    """
+    stiffness = moment = damping = torque = 0.0
+    for _, words, _ in (entry for entry in forces if entry.words.get("joint") == name):
+        k = float(words.get("stiffness", 0.0))
+        stiffness, moment = stiffness + k, moment + k * float(words.get("rest", 0.0))
+        damping += float(words.get("damping", 0.0)) + float(words.get("viscous", 0.0))
+        torque += float(words.get("torque", 0.0))
+    return stiffness, moment / stiffness if stiffness else 0.0, damping, torque
+
+
+def _couplings(scene: Scene) -> Iterator[Follow]:
+    given = scene.entries.get("couplings", {})
+    model = scene.robot.model
+    bodies = {int(joint.idx_v): i for i, joint in enumerate(model.joints) if i}
+    links = zip(scene.couplings.dependent, scene.couplings.pairs, strict=True)
+    for name, link in links:
+        if isinstance(link.function, Linear):
+            coefficients: tuple[float, ...] = (link.function.offset, link.function.factor)
+        elif "polynomial" in given[name]:
+            coefficients = tuple(float(c) for c in given[name]["polynomial"])
+        else:
+            kind = scene.coupling_kinds[name]
+            raise SceneError(f"couplings.{name}: peers take polynomials, not {kind}")
+        yield Follow(bodies[link.child_v], bodies[link.parent_v], coefficients)
+
+
+def _springs(scene: Scene, forces: Sequence[Entry]) -> Iterator[Spring]:
+    for _, words, _ in (entry for entry in forces if entry.kind == "point_spring"):
+        ends = (end_of(scene, words[f"frame_{c}"], words[f"point_{c}"]) for c in "ab")
+        numbers = (float(words[key]) for key in ("stiffness", "damping", "length"))
+        yield Spring(*ends, *numbers)

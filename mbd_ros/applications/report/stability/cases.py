@@ -1,0 +1,128 @@
+"""A scene with its true motion, and the verdict on a method."""
+
+import math
+import re
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.applications.report.stability.motion import Grid
+from mbd_ros.applications.report.stability.oracle import Oracle
+from mbd_ros.applications.report.stability.other_formulations import Known
+from mbd_ros.applications.report.stability.reference_motion import Reference, reference
+from mbd_ros.applications.report.stability.scene_text import Entry, LoadedScene
+from mbd_ros.core.rows.row_layout import labelled
+from mbd_ros.errors import MbdError
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reading.part_entries import build_part
+
+CONVERGED, BOUNDED, STOPPED = "converged", "bounded", "stopped"
+WARNED, WRONG, UNKNOWN = "warned", "WRONG", "not comparable"
+VERDICTS = (CONVERGED, BOUNDED, STOPPED, WARNED, UNKNOWN, WRONG)
+CLOSED = 1.0e-8  # m or rad, relative above 1: violation that projection leaves at most
+METHODS: Mapping[str, Entry] = {
+    "semi_implicit_euler": {"type": "semi_implicit_euler"},
+    "rk4": {"type": "rk4"},
+    "adams": {"type": "adams"},
+    "dopri5": {"type": "dopri5"},
+    "dop853": {"type": "dop853", "tolerance": 1.0e-8},
+    "gauss_legendre": {"type": "gauss_legendre"},
+    "generalized_alpha": {"type": "generalized_alpha"},
+    "rattle": {"type": "rattle"},
+}
+TIME_STEPPING = "moreau_jean"  # on contacts
+EQUATIONS = "equations"
+COLUMNS = (EQUATIONS, *METHODS, TIME_STEPPING)  # of the map
+
+
+class Verdict(NamedTuple):
+    """One cell of the map.
+
+    Attributes:
+        kind: One of `VERDICTS`.
+        error: Relative to the size of the motion; inf where it cannot be told.
+        text: Reason of a stop, or the fault.
+    """
+
+    kind: str
+    error: float
+    text: str = ""
+
+
+def raised(error: Exception) -> Verdict:
+    """A stop where it is an error of this package; any other exception is a finding."""
+    kind = STOPPED if isinstance(error, MbdError) else WRONG
+    return Verdict(kind, math.inf, f"{type(error).__name__}: {error}")
+
+
+class Case:
+    """A scene with its true motion.
+
+    Args:
+        loaded: The scene.
+        grid: Times of the comparison.
+        known: Gives the motion by other equations than those of the scene.
+
+    Attributes:
+        energies: Of the reference, at every quarter of an interval [J].
+        swing: Energy that changes between its forms [J].
+
+    Raises:
+        MbdError: The scene cannot even begin.
+    """
+
+    def __init__(self, loaded: LoadedScene, grid: Grid, known: Known | None = None) -> None:
+        self.scene, self.oracle = loaded.scene, Oracle(loaded)
+        self.reference: Reference = reference(self.scene, grid, known)
+        stored = [self.oracle.energy(x) for x in self.reference.fine]
+        kinetic = np.array([k for k, _ in stored])
+        potential = np.array([p for _, p in stored])
+        swing = float(np.ptp(potential)) + float(kinetic.max())
+        self.energies, self.swing = kinetic + potential, max(swing, 1.0e-9)
+
+
+def applicable(scene: Scene) -> list[str]:
+    """Methods that take a scene."""
+    bounded = any(not part.law.is_rigid for part in scene.constraints)
+    refused = {"rattle", "generalized_alpha"} if bounded else set()
+    if scene.robot.floating:
+        refused.add("adams")
+    return [name for name in METHODS if name not in refused]
+
+
+def tiers(scene: Scene, method: str) -> list[str]:
+    """Tiers that serve a scene with a method, and differ."""
+    has_couplings = bool(scene.couplings.dependent)
+    found = ["plain"]
+    if has_couplings and not scene.constraints:
+        found.append("kkt")
+    keeps_rows = method in ("rattle", "generalized_alpha")
+    if (has_couplings or scene.has_loops) and not keeps_rows:
+        found.append("qp")
+    return found
+
+
+def longest_step(method: str, rate: float) -> float:
+    """Longest step without a warning of `check` [s]; inf where the method chooses its steps."""
+    return integrator(method).stable / rate
+
+
+def chooses_steps(method: str) -> bool:
+    """Whether a method chooses its steps, so that no step is recommended."""
+    return integrator(method).stable == math.inf
+
+
+def integrator(method: str) -> Any:
+    """The integrator of a key of `METHODS`."""
+    return build_part("integrators", METHODS[method], "stability")
+
+
+def is_named(case: Case, reason: str) -> bool:
+    """Whether a message names a time, a joint, a link or a row."""
+    robot = case.scene.robot
+    links = [frame.name for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
+    rows = [row.name for row in labelled(case.scene.constraints)]
+    names = (*(joint.name for joint in robot.joints), *links, *rows)
+    return "t = " in reason or any(re.search(rf"\b{re.escape(n)}\b", reason) for n in names)

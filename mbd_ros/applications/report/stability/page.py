@@ -1,0 +1,145 @@
+"""The section of the page about stability."""
+
+import math
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.applications.report.items import Item, Outcome, Section, Table
+from mbd_ros.applications.report.stability.cases import (
+    COLUMNS,
+    CONVERGED,
+    STOPPED,
+    VERDICTS,
+    WRONG,
+)
+from mbd_ros.applications.report.stability.figures import verdict_map
+from mbd_ros.applications.report.stability.meanings import MEANINGS
+from mbd_ros.applications.report.stability.row_labels import row_label
+
+TITLE = "Stability"
+_METHODS_TABLE = "Verdicts by method"
+_NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
+_ROW = re.compile(r"row \S+")
+_SCENE = re.compile(r"^(\w+): (\S*scene\.yaml\S*|scene:)")
+_SHOWN = 25  # reasons
+_SHORT, _TELLING = 0.1, 50  # multiple of the recommended step; runs that tell of a whole
+Cells = Sequence[tuple[str, Mapping[str, Any]]]  # name of the row, cell
+
+
+def stability_section(outcomes: Sequence[tuple[Item, Outcome]]) -> Section:
+    """Counts, reasons, the map, and what is wrong."""
+    rows = [outcome for _, outcome in outcomes if "random" not in outcome]
+    drawn = [row for _, outcome in outcomes for row in outcome.get("random", ())]
+    if not rows and not drawn:
+        return Section(TITLE, ["No scene was run."])
+    every = [(_name(row), row) for row in (*rows, *drawn)]
+    cells = [(name, cell) for name, row in every for cell in row["cells"]]
+    tables = [_by_method(cells), _reasons(cells), *([_steps(drawn)] if drawn else [])]
+    figures = {"stability_map": verdict_map(rows)} if rows else {}
+    return Section(
+        title=TITLE,
+        text=_text(rows, drawn, cells),
+        tables=tables,
+        figures=figures,
+        wrong=[
+            *(line for item, outcome in outcomes for line in _wrong(item, outcome)),
+            *_mostly_stopped([c for i, o in outcomes if "scene" not in i.spec for c in _cells(o)]),
+        ],
+        headline=[_METHODS_TABLE, *figures],
+    )
+
+
+def _name(row: Mapping[str, Any]) -> str:
+    return f"random scene {row['seed']}" if "seed" in row else f"{row['family']}, {row_label(row)}"
+
+
+def _wrong(item: Item, outcome: Outcome) -> list[str]:
+    """Faults of an item, a line each, and how to reproduce them."""
+    lines = []
+    for row in outcome.get("random", (outcome,)):
+        spec = {"first": row["seed"], "count": 1} if "seed" in row else dict(item.spec)
+        again = f"again: mbd_ros.applications.report.stability.run({spec})"
+        for cell in row["cells"]:
+            if cell["kind"] == WRONG:
+                step = f"dt = {cell['dt']:g} s"
+                step += f", {cell['ran']:g} x recommended" if cell["ran"] else ""
+                how = f"{cell['method']}, {step if cell['dt'] else 'own steps'}"
+                how = f"{how}, tier {cell['tier']}"
+                lines.append(f"{_name(row)}, {how}: {cell['text']}; {again}")
+    return lines
+
+
+def _cells(outcome: Outcome) -> list[Mapping[str, Any]]:
+    return [cell for row in outcome.get("random", (outcome,)) for cell in row["cells"]]
+
+
+def _mostly_stopped(cells: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Stops with a reason, each right by itself, so many that nothing works."""
+    short = [cell for cell in cells if 0.0 < cell["factor"] <= _SHORT]
+    stops = sum(cell["kind"] == STOPPED for cell in short)
+    if len(short) < _TELLING or 2 * stops <= len(short):
+        return []
+    return [f"{stops} of {len(short)} runs stop, at {_SHORT:g} x the recommended step or less"]
+
+
+def _text(
+    rows: Sequence[Mapping[str, Any]], drawn: Sequence[Mapping[str, Any]], cells: Cells
+) -> list[str]:
+    kinds = Counter(cell["kind"] for _, cell in cells)
+    counts = ", ".join(f"{kinds[kind]} {kind}" for kind in VERDICTS if kinds[kind])
+    known = [row for row in (*rows, *drawn) if "span" in row]
+    whole = sum(row["known_until"] >= 0.999 * row["span"] for row in known)
+    growth = [row["growth"] for row in known if math.isfinite(row["growth"])]
+    worst = max(growth, default=1.0)
+    return [
+        f"{len(rows)} extreme scenes under every method and {len(drawn)} random scenes under "
+        f"three methods and tiers and one multiple of the recommended step each: {counts}.",
+        *MEANINGS,
+        f"Chaos: {whole} of {len(known)} motions are compared to their end; the others only for "
+        "as long as a perturbation grows less than 1e3-fold and both references agree, a time "
+        "that their labels name. The largest growth within what is compared is "
+        f"{worst:.0f}-fold.",
+    ]
+
+
+def _by_method(cells: Cells) -> Table:
+    rows = []
+    for method in COLUMNS:
+        mine = [cell for _, cell in cells if cell["method"] == method]
+        kinds = Counter(cell["kind"] for cell in mine)
+        errors = [cell["error"] for cell in mine if cell["kind"] == CONVERGED]
+        middle = f"{np.median(errors):.1e}" if errors else ""
+        rows.append([method, str(len(mine)), *(str(kinds[kind]) for kind in VERDICTS), middle])
+    columns = ["method", "cells", *VERDICTS, "median error where converged"]
+    return Table(_METHODS_TABLE, columns, rows)
+
+
+def _steps(drawn: Sequence[Mapping[str, Any]]) -> Table:
+    cells = [cell for row in drawn for cell in row["cells"] if cell["factor"] > 0.0]
+    rows = []
+    for factor in sorted({cell["factor"] for cell in cells}):
+        mine = [cell for cell in cells if cell["factor"] == factor]
+        kinds = Counter(cell["kind"] for cell in mine)
+        ran = f"{min(c['ran'] for c in mine):.2g} to {max(c['ran'] for c in mine):.2g}"
+        rows.append([f"{factor:g}", ran, *(str(kinds[kind]) for kind in VERDICTS)])
+    columns = ["step / recommended", "was run at", *VERDICTS]
+    return Table("Random scenes by step", columns, rows)
+
+
+def _reasons(cells: Cells) -> Table:
+    """Every reason of a stop, without its numbers, with an example."""
+    found: dict[str, list[str]] = {}
+    for name, cell in cells:
+        if cell["kind"] == STOPPED:
+            reason = _ROW.sub("row ..", cell["text"].split("; last finite")[0])
+            reason = _NUMBER.sub("..", _SCENE.sub(r"\1:", reason))
+            found.setdefault(reason, []).append(f"{name}, {cell['method']}")
+    ordered = sorted(found.items(), key=lambda pair: (-len(pair[1]), pair[0]))
+    rows = [[reason, str(len(where)), where[0]] for reason, where in ordered[:_SHOWN]]
+    if rest := ordered[_SHOWN:]:
+        rows.append(["others", str(sum(len(where) for _, where in rest)), ""])
+    return Table("Why runs stopped", ["reason", "runs", "for example"], rows)

@@ -1,0 +1,250 @@
+"""Motion of a mechanism -> what its actuators and its constraints exert.
+
+    M a + h - sum J_w' w - sum f = B u + J' lam + R r
+
+with w the external wrenches, f the force terms, B the columns of the efforts u, J the rows of
+couplings, constraints and contacts of unknown force, and R those of free bases. The residual r of
+the bases is as small as it can be; then come the least costly u, then the smallest lam.
+"""
+
+from collections.abc import Collection, Sequence
+from functools import partial
+
+import numpy as np
+
+from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.inverse_dynamics.bounded_split import Wish, within_bounds
+from mbd_ros.core.inverse_dynamics.consistency import check_closed, check_rates
+from mbd_ros.core.inverse_dynamics.efforts import Efforts
+from mbd_ros.core.inverse_dynamics.force_split import ForceSplit, Split
+from mbd_ros.core.inverse_dynamics.loop_balance import LoopBalance
+from mbd_ros.core.inverse_dynamics.loop_motion import LoopMotion, with_inertia
+from mbd_ros.core.inverse_dynamics.loop_problem import Problem, is_at_toggle
+from mbd_ros.core.inverse_dynamics.reach import Reach, listed, movers, unreachable
+from mbd_ros.core.inverse_dynamics.standing import Nearness, Standing
+from mbd_ros.core.inverse_dynamics.torques import Torques
+from mbd_ros.core.inverse_dynamics.unknowns import Mask, Unknowns
+from mbd_ros.core.loads.external_wrench import ExternalWrench
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.rows.characteristic_sizes import usual_norms
+from mbd_ros.core.rows.constraint import Constraint
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+
+_LEFT = 1.0e-6  # of the forces at work: what may stay without an actuator
+_ZERO = 1.0e-9  # the same where nothing moves and nothing acts
+_NOBODY = np.zeros(0, np.bool_)
+
+
+class ClosedLoopInverseDynamics:
+    """Inverse dynamics with rows, redundant or not, and any set of efforts.
+
+    Efforts are exact where they are determined. Where they can work against one another, those of
+    the least cost are taken: by default of the smallest Euclidean norm in SI numbers. Drives
+    (prescribed motion) count as efforts in it. Given the efforts, multipliers of redundant rows
+    have the smallest norm.
+
+    Without bounds, stops and dry friction are part of the efforts, since a motion does not show
+    their forces, and a limited drive may exceed its limit. With bounds their rows are unknowns
+    that keep their law, and efforts stay within their bounds.
+
+    Forces of contacts are unknown where they are named, and stay in their cones: features of flat
+    feet only push, so that the centre of pressure stays between them.
+
+    One instance owns its Pinocchio data: not for two threads. No result depends on earlier ones.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints; they become rows.
+        constraints: Constraints of the scene.
+        efforts: The unknown inputs.
+        wrenches: External loads, in the order in which `solve` takes their values.
+        forces: Force terms of the scene.
+        with_bounds: Whether efforts and multipliers keep their bounds.
+        contacts: Names of contacts of unknown force; the forces of others are loads.
+        carriers: Joints that stand for a free base, see `standing.carriers`.
+        near: What counts as on the ground.
+
+    Attributes:
+        robot: The robot.
+        couplings: Its dependent joints.
+        standing: Says which features of the contacts press; None without such contacts.
+        carriers: As given.
+        forces: As given.
+        efforts: Those of `Torques.tau`.
+        constraints: Rows of the multipliers: couplings, then constraints in the order of the
+            scene; without bounds bilateral ones and drives alone.
+        motion: Makes measured motion consistent.
+
+    Raises:
+        ModelError: With bounds, a law of multipliers that has none in numbers.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        couplings: Couplings,
+        constraints: Sequence[Constraint],
+        efforts: Efforts,
+        wrenches: Sequence[ExternalWrench] = (),
+        forces: Sequence[Load] = (),
+        *,
+        with_bounds: bool = False,
+        contacts: Collection[str] = (),
+        carriers: Sequence[str] = (),
+        near: Nearness | None = None,
+    ) -> None:
+        self.robot, self.couplings, self.efforts = robot, couplings, efforts
+        self.carriers, self.forces = tuple(carriers), tuple(forces)
+        self.motion = LoopMotion(with_inertia(robot), couplings, constraints)
+        given, kept = (robot, couplings, constraints, efforts, wrenches, forces), with_bounds
+        self._balance = LoopBalance(*given, with_bounds=kept, contacts=contacts)
+        self.constraints, self._drives = self._balance.constraints, self._balance.is_drive
+        self._unknowns = Unknowns(efforts, self.constraints, self._drives, with_bounds=kept)
+        touching = self._balance.contacts
+        self.standing = Standing(robot, touching, near) if touching else None
+        self._limited = with_bounds or bool(touching)
+        carried = [*robot.base_v, *(robot.joint(name).v for name in carriers)]
+        self._every = np.ones(len(self._unknowns.labels), np.bool_)
+        self._R = np.eye(int(robot.model.nv))[:, carried]
+        self._usual = usual_norms(robot, self._metric_and_columns)
+
+    def consistent(self, x: State, a: Array) -> tuple[State, Array]:
+        """Measured motion moved onto the constraints; see `LoopMotion.consistent`."""
+        return self.motion.consistent(x, a)
+
+    def columns(self, x: State) -> Array:
+        """B at a state, shape (nv, na)."""
+        self._balance.place(x)
+        return self._balance.columns(x)
+
+    def carried(self, found: Torques) -> Array:
+        """Generalized force that nothing exerts: the residual, on all joints, shape (nv,)."""
+        force: Array = self._R.dot(np.concatenate((found.residual, found.carried)))
+        return force
+
+    def demand(self, x: State, a: Array, wrenches: Sequence[Array] = ()) -> Array:
+        """M a + h - loads: what efforts and multipliers exert together, shape (nv,)."""
+        self._balance.place(x)
+        terms = self._balance.terms(x, a, wrenches)
+        return terms.inertial + terms.bias - terms.loads
+
+    def solve(
+        self,
+        x: State,
+        a: Array,
+        wrenches: Sequence[Array] = (),
+        standing: Mask | None = None,
+        wish: Wish | None = None,
+    ) -> Torques:
+        """Efforts and multipliers of one sample.
+
+        Args:
+            x: State of all joints, on the constraints.
+            a: Acceleration of all joints that they allow [rad/s^2 or m/s^2], shape (nv,).
+            wrenches: One (6,) array [N, N·m] for every load; none means unloaded.
+            standing: Which features of contacts press; None for what their geometry says.
+            wish: Of the multipliers of contacts, where these are not determined.
+
+        Raises:
+            SolveError: The motion is not consistent, or the efforts cannot produce it; names the
+                row, the joints of the direction that nothing reaches, or the bounds in the way.
+        """
+        if not all(np.isfinite(values).all() for values in (x.q, x.v, a, *wrenches)):
+            raise SolveError("motion or wrenches are not finite")
+        if standing is None:
+            standing = self.standing.at(x) if self.standing else _NOBODY
+        problem = self._problem(x, a, wrenches, standing)
+        split, b, accepted = problem.split, problem.b, _LEFT * problem.scale + _ZERO
+        found, r = split.solve(b), np.zeros(self._R.shape[1])
+        if len(r) and not found.share <= accepted:
+            r = split.out_of_reach(b, self._R)
+            found = split.solve(b - self._R.dot(r))
+        if found.share <= accepted and self._limited:
+            found, r = self._within(problem, found, r, wish)
+        if not found.share <= accepted:
+            labels = self._unknowns.labels[: self._unknowns.efforts]
+            left = movers(self.robot, found.left[:, None], self.motion.metric(x.q))
+            at_toggle = is_at_toggle(self.motion, x, split, partial(self._beside, problem.asked))
+            raise SolveError(unreachable(labels, left, found.share / problem.scale, at_toggle))
+        return self._torques(problem, found, r)
+
+    def reach(self, x: State) -> Reach:
+        """The reach of the efforts at a state on the constraints, bounds left aside."""
+        self._balance.place(x)
+        asked = self._every.copy()
+        asked[self._unknowns.of_contacts] = False
+        split = self._split(x, self._balance.rows(x)[0], asked)
+        undriven = movers(self.robot, split.undriven(), self.motion.metric(x.q))
+        labels = self._undetermined(split, asked, split.null_basis())
+        return Reach(split.freedom, split.driven, undriven, split.null_space, labels)
+
+    def _problem(self, x: State, a: Array, wrenches: Sequence[Array], standing: Mask) -> Problem:
+        balance, unknowns = self._balance, self._unknowns
+        balance.place(x)
+        of_rows, na = balance.shown(x, a, standing), len(self.efforts.names)
+        shown = np.concatenate((np.full(na, np.nan), of_rows))
+        J, drift = balance.rows(x)
+        check_closed(balance, x)
+        asked = np.isnan(shown)[unknowns.place]
+        split = self._split(x, J, asked)
+        inside = np.flatnonzero(~self._drives)[asked[unknowns.efforts :]]
+        check_rates(balance, split, inside, (J, drift), x, a)
+        known = unknowns.filled(np.nan_to_num(shown), asked, np.zeros(int(asked.sum())))
+        offset = np.zeros_like(a)
+        if known.any():
+            offset = J.T.dot(known[na:]) + balance.columns(x).dot(known[:na])
+        terms = balance.terms(x, a, wrenches)
+        b = terms.inertial + terms.bias - terms.loads - offset
+        scale = sum(split.norm(term) for term in (*terms, offset) if term.any())
+        return Problem(split, b, scale, asked, known)
+
+    def _within(
+        self, problem: Problem, found: Split, r: Array, wish: Wish | None
+    ) -> tuple[Split, Array]:
+        """Efforts and multipliers within their bounds, and the residual of free bases."""
+        asked, unknowns = problem.asked, self._unknowns
+        limits = unknowns.limits(asked)
+        if wish is not None:
+            wish = unknowns.wished(asked, wish)
+        kept = within_bounds(problem.split, problem.b, found, (self._R, r), limits, wish)
+        if kept.is_within:
+            return kept.split, kept.residual
+        y = np.concatenate((kept.split.efforts, kept.split.multipliers))
+        names = listed(unknowns.named(asked, limits.passed(y, _LEFT)))
+        raise SolveError(f"the bounds of {names} do not let the efforts produce this motion")
+
+    def _torques(self, problem: Problem, found: Split, r: Array) -> Torques:
+        split, asked, na = problem.split, problem.asked, len(self.efforts.names)
+        y = np.concatenate((found.efforts, found.multipliers))
+        tau, multipliers = np.split(self._unknowns.filled(problem.known, asked, y), [na])
+        null = split.null_basis()
+        about = split.null_space, self._undetermined(split, asked, null), split.condition
+        basis = self._unknowns.basis(asked, null)
+        bases = len(self.robot.base_v)
+        return Torques(tau, multipliers, split.rank, r[:bases], *about, basis, r[bases:])
+
+    def _split(self, x: State, J: Array, asked: Mask) -> ForceSplit:
+        E, rows = self._columns(x, J)
+        n = self._unknowns.efforts
+        return ForceSplit(self.motion.metric(x.q), E, rows[asked[n:]], self._usual[asked])
+
+    def _columns(self, x: State, J: Array) -> tuple[Array, Array]:
+        """Forces of one unit of cost of every effort, one a column, and the other rows."""
+        E = np.concatenate((self._balance.columns(x), J[self._drives].T), axis=1)
+        return E / self._unknowns.weight[: self._unknowns.efforts], J[~self._drives]
+
+    def _metric_and_columns(self, q: Array) -> tuple[Array, Array]:
+        """M and the columns of all unknowns at rest, (nv, nv) and (nv, n)."""
+        x = State(0.0, q, np.zeros(int(self.robot.model.nv)))
+        self._balance.place(x)
+        E, rows = self._columns(x, self._balance.rows(x)[0])
+        return self.motion.metric(q), np.concatenate((E, rows.T), axis=1)
+
+    def _undetermined(self, split: ForceSplit, asked: Mask, null: Array) -> tuple[str, ...]:
+        return self._unknowns.named(asked, split.undetermined(null)) if split.null_space else ()
+
+    def _beside(self, asked: Mask, x: State) -> ForceSplit:
+        self._balance.place(x)
+        return self._split(x, self._balance.rows(x)[0], asked)

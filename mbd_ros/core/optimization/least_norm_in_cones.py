@@ -1,0 +1,161 @@
+"""The smallest of the vectors of an affine set that keep bounds and cones of friction.
+
+    min |A y - c|^2,   y = y0 + N w,   lower <= y <= upper,   |y_t| <= mu y_n
+
+The rows of A are groups, one far heavier than the next: what comes first is as small as it can
+be, then what comes next. An interior-point method, with a shift of all limits that is paid for:
+where it stays, nothing keeps the limits. Source: S. Boyd, L. Vandenberghe, Convex Optimization,
+2004, sec. 11.3 (barrier), 11.4 (start) and 11.6 (cones of second order).
+"""
+
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.optimization.cone_limits import Limits
+from mbd_ros.core.optimization.least_norm_open_contacts import least_with_open
+from mbd_ros.core.state import Array
+from mbd_ros.errors import SolveError
+
+_PRICE = 10.0  # of the shift, where numbers are of size one
+_FIRST, _LAST, _FALL = 1.0, 1.0e-16, 0.02  # weights of the barrier
+_STEPS = 12  # of Newton's method, for each of them
+_CENTRED = 0.1  # decrement at which one is solved
+_SHORTENED, _HALVINGS, _LEAST_DESCENT = 0.95, 40, 1.0e-4
+_SHIFTED = 1.0e-7  # of the largest number: a shift that stays
+
+
+def least_in_cones(y: Array, N: Array, A: Array, c: Array, limits: Limits) -> tuple[Array, bool]:
+    """Solve the problem above; nothing is kept between calls.
+
+    Args:
+        y: y0, shape (n,).
+        N: Directions, orthonormal, shape (n, k).
+        A: Shape (m, n).
+        c: Shape (m,).
+        limits: Of y.
+
+    Returns:
+        The vector, and whether it keeps the limits.
+
+    Raises:
+        SolveError: Something is not finite.
+    """
+    size = max(float(np.abs(y).max(initial=0.0)), float(np.abs(c).max(initial=0.0)), 1e-300)
+    if not np.isfinite(size):
+        raise SolveError("forces are not finite")
+    quick = least_with_open(y, N, A, c, limits)
+    if quick is not None:
+        return quick, True
+    barrier = _Barrier(y / size, N, limits, size)
+    rows = A.dot(N), A.dot(y / size) - c / size
+    w, shift = np.zeros(N.shape[1]), barrier.start()
+    x, weight = np.append(w, shift), _FIRST
+    while weight >= _LAST:
+        x = _centred(x, rows, barrier, weight)
+        weight *= _FALL
+    found: Array = y + size * N.dot(x[:-1])
+    return found, bool(x[-1] <= _SHIFTED)
+
+
+class _Barrier:
+    """Logarithms of the room that limits leave, each shifted by the last entry of x.
+
+    Args:
+        y: y0, of size one.
+        N: Directions.
+        limits: Of y times `size`.
+        size: Unit of y.
+    """
+
+    def __init__(self, y: Array, N: Array, limits: Limits, size: float) -> None:
+        below, above = np.isfinite(limits.lower), np.isfinite(limits.upper)
+        lower, upper = limits.lower[below] / size, limits.upper[above] / size
+        n = N.shape[1]
+        flat = np.ones((int(below.sum() + above.sum()), n + 1))
+        flat[:, :n] = np.concatenate((N[below], -N[above]))
+        self._flat = flat, np.concatenate((y[below] - lower, upper - y[above]))
+        entries = limits.cones.ravel()
+        round_ = np.zeros((len(entries), n + 1))
+        round_[:, :n] = N[entries]
+        round_[::3] *= np.maximum(limits.mu, 1e-12)[:, None]
+        round_[::3, n] = 1.0
+        at = y[entries].copy()
+        at[::3] *= limits.mu
+        self._round = round_, at
+        self._n = n
+
+    def start(self) -> float:
+        """A shift with which y0 has room."""
+        rounds = self._round[1].reshape(-1, 3)
+        needed = np.hypot(rounds[:, 1], rounds[:, 2]) - rounds[:, 0]
+        lacking = max(float(needed.max(initial=0.0)), float((-self._flat[1]).max(initial=0.0)))
+        return 1.1 * lacking + 0.1
+
+    def _of(self, x: Array) -> tuple[Array, Array]:
+        return self._flat[0].dot(x) + self._flat[1], self._round[0].dot(x) + self._round[1]
+
+    def value(self, x: Array) -> float:
+        """The barrier, infinite without room."""
+        flat, rounds = self._of(x)
+        room = _room(rounds)
+        if x[-1] <= 0.0 or not (flat > 0.0).all() or not (room > 0.0).all():
+            return float("inf")
+        return float(-np.log(x[-1]) - np.log(flat).sum() - np.log(room).sum())
+
+    def slopes(self, x: Array) -> tuple[Array, Array]:
+        """Rows B and r with the gradient B' r and the Hessian B' B."""
+        flat, rounds = self._of(x)
+        of_shift = np.zeros((1, len(x)))
+        of_shift[0, -1] = 1.0 / x[-1]
+        z, room = rounds.reshape(-1, 3), _room(rounds)
+        u = z * np.array((1.0, -1.0, -1.0)) / np.sqrt(room)[:, None]
+        W = np.zeros((len(u), 3, 3))
+        W[:, 0], W[:, :, 0] = u, u
+        W[:, 1:, 1:] = np.eye(2) + u[:, 1:, None] * u[:, None, 1:] / (1.0 + u[:, 0, None, None])
+        scaled = np.sqrt(2.0 / room)[:, None, None] * W
+        turned = np.matmul(scaled, self._round[0].reshape(-1, 3, len(x)))
+        r = np.tile((-(2.0**0.5), 0.0, 0.0), len(u))
+        flats = self._flat[0] / flat[:, None]
+        B = np.concatenate((of_shift, flats, turned.reshape(-1, len(x))))
+        return B, np.concatenate((-np.ones(1 + len(flat)), r))
+
+
+def _room(rounds: Array) -> Array:
+    """z_n^2 - |z_t|^2 without the cancellation of squares, negative outside."""
+    normal, one, two = rounds.reshape(-1, 3).T
+    across = np.hypot(one, two)
+    return (normal - across) * np.where(normal > 0.0, normal + across, 1.0)
+
+
+def _centred(x: Array, rows: tuple[Array, Array], barrier: _Barrier, weight: float) -> Array:
+    """Newton's method for one weight of the barrier."""
+    A, c = rows
+    wide = np.concatenate((A, np.zeros((len(A), 1))), axis=1)
+    price = np.zeros(len(x))
+    price[-1] = _PRICE
+
+    def cost(x: Array) -> float:
+        r = wide.dot(x) + c
+        return float(0.5 * r.dot(r) + _PRICE * x[-1]) + weight * barrier.value(x)
+
+    for _ in range(_STEPS):
+        B, r = barrier.slopes(x)
+        root = weight**0.5
+        stacked = np.concatenate((wide, root * B))
+        residual = wide.dot(x) + c
+        gradient = wide.T.dot(residual) + weight * B.T.dot(r) + price
+        Q: Any = np.linalg.qr(stacked, mode="r")
+        step = -np.linalg.solve(Q, np.linalg.solve(Q.T, gradient))
+        descent = -float(gradient.dot(step))
+        if not descent > _CENTRED * weight:
+            break
+        now, share = cost(x), 1.0
+        for _ in range(_HALVINGS):
+            if cost(x + share * step) <= now - _LEAST_DESCENT * share * descent:
+                break
+            share *= 0.5
+        else:
+            break
+        x = x + share * step
+    return x

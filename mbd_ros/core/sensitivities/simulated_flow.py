@@ -1,0 +1,246 @@
+"""The motion of a scene as a return map asks for it."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.dynamics.equilibrium import settled
+from mbd_ros.core.dynamics.phased_system import PhasedSystem
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.events.crossings import Combination, Gap
+from mbd_ros.core.events.mode_field import Margin
+from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.names import label
+from mbd_ros.core.projection.stabilization import Stabilization
+from mbd_ros.core.sensitivities.consistent_start import placed
+from mbd_ros.core.sensitivities.flow import Segment
+from mbd_ros.core.sensitivities.smooth_motion import SmoothMotion
+from mbd_ros.core.simulation.checked_steps import CheckedSteps
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import DivergedError, FallError, SolveError
+
+EndsCycle = Callable[[Segment], bool]
+_TURN, _NONE = 2.0 * np.pi, np.zeros(0)
+
+
+class _Guard(NamedTuple):
+    """An exit of a phase or a margin of its mode, and what follows in no time."""
+
+    exit: Any = None
+    margin: Margin | None = None
+    more: "tuple[tuple[_Guard, State], ...]" = ()
+
+
+class SimulatedFlow(CheckedSteps):
+    """Motions of a scene, in the coordinates that are integrated.
+
+    Args:
+        system: The system.
+        integrator: The method, which has to find events.
+        stabilization: Keeps its rows.
+        dt: First guess of a step [s].
+        ends_cycle: Whether a cycle ends with a segment.
+        longest: Time within which a cycle has to end [s].
+        turning: Which coordinates of a velocity are turns, so that whole ones do not count.
+
+    Attributes:
+        size: Length of a tangent.
+        longest: As given; may be changed.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        integrator: Integrator,
+        stabilization: Stabilization,
+        dt: float,
+        ends_cycle: EndsCycle,
+        longest: float,
+        turning: Array | None = None,
+    ) -> None:
+        super().__init__(system, integrator, stabilization, dt)
+        self._ends_cycle, self.longest = ends_cycle, longest
+        phased = self.system if isinstance(self.system, PhasedSystem) else None
+        self._phased = phased
+        systems = (self.system,) if phased is None else phased.systems
+        self._motions = [SmoothMotion(one, dt) for one in systems]
+        self.size = 2 * self.system.nv + self.system.internals.nz
+        self._turning = np.zeros(0, int) if turning is None else turning
+
+    def plus(self, x: State, d: Array) -> State:
+        """As `HybridFlow.plus`."""
+        return self.system.chart.plus(x, d)
+
+    def minus(self, x1: State, x0: State) -> Array:
+        """As `HybridFlow.minus`; whole turns of joints do not count."""
+        apart = self.system.chart.minus(x1, x0)
+        turns = self._turning
+        apart[turns] -= _TURN * np.round(apart[turns] / _TURN)
+        return apart
+
+    def basis(self, x: State) -> Array:
+        """As `HybridFlow.basis`."""
+        return self._motion(x).basis(self._inward(x))
+
+    def cycle(self, x: State) -> tuple[Segment, ...]:
+        """As `HybridFlow.cycle`.
+
+        Raises:
+            FallError: The motion ends early, or goes on for too long without the event.
+        """
+        try:
+            return tuple(self._segments(x))
+        except (SolveError, DivergedError) as error:
+            raise FallError(str(error)) from error
+
+    def _segments(self, x: State) -> Iterator[Segment]:
+        self.stepper.restart()
+        y = self.stepper.settle(x, None)
+        self.stepper.take_events()
+        begin, times, limit = y, [y.t], x.t + self.longest
+        found: Segment | None = None
+        while y.t < limit:
+            y = self._corrected(self._step(y, None, limit))
+            self.stepper.continue_from(y)
+            for event in self.stepper.take_events():
+                end, after = self.system.reduce(event.before), self.system.reduce(event.after)
+                guard = self._guard(event.guards, end)
+                if found is not None and end.t <= found.end.t:
+                    found = _joined(found, event.guards, guard, end, after)
+                    continue
+                if found is not None:
+                    yield found
+                    if self._ends_cycle(found):
+                        return
+                    begin, times = found.after, [found.after.t, *times[1:]]
+                times += [end.t] if end.t > times[-1] else []
+                found = Segment(begin, np.array(times), end, after, event.guards, guard)
+                times = [after.t]
+            if found is not None and y.t > found.end.t:
+                yield found
+                if self._ends_cycle(found):
+                    return
+                begin, found = found.after, None
+            if y.t > times[-1]:
+                times.append(y.t)
+        raise FallError(f"no cycle has ended after {self.longest:g} s")
+
+    def follow(self, segment: Segment, x: State) -> State:
+        """As `HybridFlow.follow`."""
+        end = self._motion(segment.begin).follow(self._inward(x), segment.times)
+        return end._replace(mode=segment.end.mode)
+
+    def rate(self, x: State) -> Array:
+        """As `HybridFlow.rate`."""
+        return self._motion(x).rate(self._inward(x))
+
+    def value(self, segment: Segment, x: State) -> float:
+        """As `HybridFlow.value`."""
+        motion, y = self._motion(x), self._inward(x)
+        if segment.guard.exit is None:
+            return motion.margin(y, segment.guard.margin)
+        system, crossing = motion.system, segment.guard.exit.crossing
+        every = system.expand(y)
+        lam = _NONE if isinstance(crossing, Combination | Gap) else system.evaluate(every).lam
+        system.k.refresh(every.q, every.v, crossing.reads)
+        return float(crossing.value(system.k, every, lam))
+
+    def reset(self, segment: Segment, x: State) -> State:
+        """As `HybridFlow.reset`."""
+        x = self._after(segment.guard, x)
+        for guard, before in segment.guard.more:
+            x = self._after(guard, x._replace(mode=before.mode))
+        return x._replace(mode=segment.after.mode)
+
+    def is_timed(self, segment: Segment) -> bool:
+        """As `HybridFlow.is_timed`."""
+        one = segment.guard.exit
+        return one is not None and one.crossing is None
+
+    def ends_phase(self, segment: Segment) -> bool:
+        """As `HybridFlow.ends_phase`."""
+        guards = (segment.guard, *(guard for guard, _ in segment.guard.more))
+        return any(guard.exit is not None for guard in guards)
+
+    def onto(self, x: State) -> State:
+        """The state on the rows of its mode."""
+        return self._motion(x).onto(self._inward(x))._replace(mode=x.mode)
+
+    def own(self, segment: Segment) -> Segment:
+        """A segment of the same scene with other numbers, with the guard of this one."""
+        more = tuple(
+            (self._guard(segment.event, before), before) for _, before in segment.guard.more
+        )
+        guard = self._guard(segment.event, segment.end)._replace(more=more)
+        return segment._replace(guard=guard)
+
+    def states(self, segment: Segment, count: int) -> list[State]:
+        """States of a segment at equal times, both ends included."""
+        times = np.linspace(segment.begin.t, segment.end.t, count)
+        motion, y = self._motion(segment.begin), self._inward(segment.begin)
+        inner = motion.states(y, times)
+        return [x._replace(mode=segment.begin.mode) for x in inner]
+
+    def placed(
+        self, x: State, positions: Mapping[int, float], velocities: Mapping[int, float]
+    ) -> State:
+        """As `placing.placed`, in the phase of the state."""
+        inner = placed(self._motion(x).system, self._inward(x), positions, velocities)
+        return inner._replace(mode=x.mode)
+
+    def open(self, x: State) -> Array:
+        """How far rows of positions are open in the phase of a state [m or rad], shape (m,)."""
+        system = self._motion(x).system
+        if not system.held.rows:
+            return np.zeros(0)
+        residual: Array = system.held.residual(x.t, x.q)
+        return residual
+
+    def started(self, x: State) -> State:
+        """The state of what is integrated, in its mode, from one of all joints.
+
+        Raises:
+            SolveError: The mechanism cannot be assembled near it.
+        """
+        y = self._assembled(x)
+        if self._nz:
+            y = settled(self.system, y, None)
+        self.stepper.restart()
+        return self.stepper.settle(y, None)
+
+    def _guard(self, names: tuple[str, ...], end: State) -> _Guard:
+        if self._phased is not None:
+            phase = self._phased.phases[self._phased.phase(end)]
+            for one in phase.exits:
+                if label(phase, one.name) in names:
+                    return _Guard(exit=one)
+        return _Guard(margin=self._motion(end).margin_at(names, self._inward(end)))
+
+    def _after(self, guard: _Guard, x: State) -> State:
+        """The state after one event, in the mode that begins."""
+        motion, y = self._motion(x), self._inward(x)
+        if guard.exit is None:
+            assert guard.margin is not None
+            after = motion.after(y, guard.margin)
+            phase = 0 if self._phased is None else self._phased.phase(x)
+            return after if self._phased is None else self._phased.outward(phase, after)
+        assert self._phased is not None
+        struck = guard.exit.reset.after(motion.system.expand(y))
+        system = self._phased.systems[guard.exit.then]
+        return system.reduce(struck.x._replace(mode=()))
+
+    def _motion(self, x: State) -> SmoothMotion:
+        return self._motions[0 if self._phased is None else self._phased.phase(x)]
+
+    def _inward(self, x: State) -> State:
+        return x if self._phased is None else self._phased.inward(x)
+
+
+def _joined(
+    found: Segment, names: tuple[str, ...], guard: _Guard, before: State, after: State
+) -> Segment:
+    """A segment whose end leads on in no time."""
+    more = (*found.guard.more, (guard, before))
+    event = (*found.event, *names)
+    return found._replace(event=event, after=after, guard=found.guard._replace(more=more))

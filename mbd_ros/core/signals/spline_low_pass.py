@@ -1,0 +1,216 @@
+"""Low-pass of a whole recording that does not lag: smoothing splines with a cut-off in Hz."""
+
+import math
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.signals.nested_splines import joined, middles, parted
+from mbd_ros.core.signals.smoothing_equations import ORDER, SmoothingEquations
+from mbd_ros.core.signals.spline_basis import CellBasis
+from mbd_ros.core.signals.spline_grids import FLATTEST, Grid, grids_of
+from mbd_ros.core.signals.spline_pieces import DEGREE, Wanted
+from mbd_ros.core.state import Array
+
+FEWEST = 6  # samples in a row: a quintic through them
+HIGHEST = 0.4  # cut-off per sampling rate beyond which nothing is left to smooth
+PERIODS = 14  # of the cut-off until the end of a window is forgotten: exp(-2.7 PERIODS)
+_SPREAD = 64  # cells of the recording at least, in the middle of which signals are looked at
+HALF_POWER = np.sqrt(2.0) - 1.0
+
+
+def response(frequency: Array, cutoff: float) -> Array:
+    """Share of a sine that passes: 1 / (1 + (sqrt 2 - 1) (f / cutoff)^8).
+
+    Args:
+        frequency: f [Hz].
+        cutoff: Frequency of half power [Hz].
+    """
+    squared = np.square(frequency / cutoff)
+    passed: Array = 1.0 / (1.0 + HALF_POWER * np.square(np.square(squared)))
+    return passed
+
+
+def rate_of(times: Array) -> float:
+    """Usual number of samples a second [Hz]."""
+    return 1.0 / float(np.median(np.diff(times)))
+
+
+class Stretch(NamedTuple):
+    """A recording without gaps, of which signals are a window.
+
+    Attributes:
+        begin: Of its first sample [s].
+        end: Of its last one [s].
+        usual: Median of the steps around each sample [s].
+        rate: Usual number of samples a second [Hz].
+    """
+
+    begin: float
+    end: float
+    usual: float
+    rate: float
+
+    @classmethod
+    def of(cls, times: Array, *more: Array) -> "Stretch":
+        """That of its times [s], of pieces that tell it, the first and the last of them among."""
+        pieces = times, *more
+        usual = float(np.median(np.concatenate([np.gradient(piece) for piece in pieces])))
+        steps = np.concatenate([np.diff(piece) for piece in pieces])
+        return cls(float(times[0]), float(pieces[-1][-1]), usual, 1.0 / float(np.median(steps)))
+
+
+class LowPass:
+    """What passes signals below cut-offs of their own.
+
+    The quintic spline s that minimizes, over time and over the samples y,
+
+        integral (s - y)^2 + (sqrt 2 - 1) (2 pi cutoff)^-8 (d^4 s / dt^4)^2 dt
+
+    passes `response` without lag, at any rate and with irregular stamps; where a sine ends with
+    the recording, or in a gap, it continues as the cubic that fits best. Cells of a low cut-off
+    are those of a higher one, joined: samples are looked at once for all that are not far apart.
+
+    Args:
+        times: [s], increasing, at least `FEWEST`, shape (n,).
+        cutoffs: Frequencies of half power that will be asked for [Hz].
+        whole: What the samples are a window of; without it they are the whole. `PERIODS` of the
+            cut-off from the ends of a window the result is that of the whole, to rounding.
+
+    Source: P. H. C. Eilers, B. D. Marx, Stat. Sci. 11, 1996, 89 (penalty on differences);
+        P. Craven, G. Wahba, Numer. Math. 31, 1979, 377 (smoothing splines as low-pass).
+    """
+
+    def __init__(self, times: Array, cutoffs: Array, whole: Stretch | None = None) -> None:
+        self._times, self._whole = times, whole or Stretch.of(times)
+        self._span = self._whole.end - self._whole.begin
+        smooth = cutoffs[cutoffs < HIGHEST * self._whole.rate]
+        self._grids = grids_of(sorted(set(smooth.tolist()), reverse=True), self._span)
+        self._bases: dict[int, CellBasis] = {}
+        self._equations: dict[float, SmoothingEquations] = {}
+
+    def put(
+        self,
+        values: Array,
+        chosen: NDArray[np.intp],
+        cutoff: Array,
+        wanted: Wanted,
+        rows: slice,
+    ) -> None:
+        """Put derivatives of passed signals where they are wanted.
+
+        Args:
+            values: Signals, one a column, shape (n, k).
+            chosen: Those that pass, shape (m,).
+            cutoff: That of each that passes, shape (m,); from `HIGHEST` times the rate on the
+                spline passes through the samples.
+            wanted: See `spline_pieces.Wanted`; orders are 0, 1 or 2.
+            rows: The samples that are wanted.
+        """
+        exact = np.flatnonzero(cutoff >= HIGHEST * self._whole.rate)
+        if len(exact):
+            self._through(values[:, chosen[exact]], _of(wanted, exact), rows)
+        for grid, own in self._families(cutoff):
+            coefficients = self._coefficients(grid, values, chosen[own], cutoff[own], True)
+            width = self._span / grid.cells
+            self._basis(grid).put(coefficients, width, _of(wanted, own), rows)
+
+    def spread(
+        self,
+        values: Array,
+        chosen: NDArray[np.intp],
+        cutoff: Array,
+        rows: slice,
+    ) -> Iterator[tuple[NDArray[np.intp], Array, float]]:
+        """Passed signals at evenly spread times, those of like cut-offs together.
+
+        Args:
+            values: Signals, one a column, shape (n, k).
+            chosen: Those that pass, shape (m,).
+            cutoff: As that of `put`.
+            rows: The samples between which the times are.
+
+        Yields:
+            Places of signals in `chosen`, their values, shape (times, ..), and the step [s]. Where
+            nothing is smoothed these are the samples.
+        """
+        begin, end = self._times[rows][[0, -1]] - self._whole.begin
+        exact = np.flatnonzero(cutoff >= HIGHEST * self._whole.rate)
+        if len(exact):
+            yield exact, values[rows, chosen[exact]], self._whole.usual
+        for grid, own in self._families(cutoff):
+            coefficients = self._coefficients(grid, values, chosen[own], cutoff[own], False)
+            cells, first = grid.cells, self._begin(grid)[0]
+            while cells < _SPREAD:
+                coefficients, cells, first = parted(coefficients), 2 * cells, 2 * first
+            at = np.rint(np.array([begin, end]) * (cells / self._span)).astype(np.intp) - first
+            inside = coefficients[:, at[0] : at[1] + DEGREE]
+            yield own, middles(inside).T, self._span / cells
+
+    def _through(self, values: Array, wanted: Wanted, rows: slice) -> None:
+        from scipy.interpolate import make_interp_spline  # only where nothing is smoothed
+
+        through = make_interp_spline(self._times, values, k=DEGREE, axis=0)
+        for order, columns, target, places in wanted:
+            target[:, places] = through(self._times[rows], nu=order)[:, columns]
+
+    def _families(self, cutoff: Array) -> Iterator[tuple[Grid, NDArray[np.intp]]]:
+        """Signals that are looked at together, and a grid of their finest cells."""
+        grids = [self._grids.get(f) for f in cutoff.tolist()]
+        cells = np.array([grid.cells if grid else 0 for grid in grids])
+        for one in {grid.cells: grid for grid in grids if grid}.values():
+            yield one, np.flatnonzero(cells == one.cells)
+
+    def _begin(self, grid: Grid) -> tuple[int, int]:
+        """First cell of the window, and their number: joined cells begin and end there, too."""
+        begin, end = (self._times[[0, -1]] - self._whole.begin) * (grid.cells / self._span)
+        first = min(int(begin), grid.cells - 1) // grid.unit * grid.unit
+        last = -(-min(math.ceil(end), grid.cells) // grid.unit) * grid.unit
+        return first, max(last - first, grid.unit)
+
+    def _basis(self, grid: Grid) -> CellBasis:
+        """Splines at the samples of the window."""
+        if grid.cells not in self._bases:
+            first, count = self._begin(grid)
+            places = (self._times - self._whole.begin) * (grid.cells / self._span) - first
+            weights = np.minimum(np.gradient(self._times), 4.0 * self._whole.usual)
+            self._bases[grid.cells] = CellBasis(places, count, weights)
+        return self._bases[grid.cells]
+
+    def _coefficients(
+        self, grid: Grid, values: Array, chosen: NDArray[np.intp], cutoff: Array, refine: bool
+    ) -> Array:
+        """Of the splines of the finest cells, for signals that pass; shape (m, splines)."""
+        found = self._basis(grid).projected(values, chosen)
+        for f in np.unique(cutoff).tolist():
+            own, level = np.flatnonzero(cutoff == f), self._grids[f].level
+            known, refined = found[own], refine and self._grids[f].is_fine
+            for _ in range(level):
+                known = joined(known)
+            solved = self._equations_of(f).solve(known, refined)
+            for _ in range(level):
+                solved = parted(solved)
+            found[own] = solved
+        return found
+
+    def _equations_of(self, cutoff: float) -> SmoothingEquations:
+        if cutoff not in self._equations:
+            grid = self._grids[cutoff]
+            width = self._span / (grid.cells >> grid.level)
+            turn = 2.0 * np.pi * max(cutoff, FLATTEST / self._span)
+            stiffness = HALF_POWER * (turn * width) ** (-2 * ORDER) * width
+            normal = self._basis(grid).normal(grid.level)
+            self._equations[cutoff] = SmoothingEquations(normal, stiffness)
+        return self._equations[cutoff]
+
+
+def _of(wanted: Wanted, signals: NDArray[np.intp]) -> Wanted:
+    """What is wanted of some signals, by their place among these."""
+    found = []
+    for order, columns, target, places in wanted:
+        own = np.isin(columns, signals)
+        if own.any():
+            found.append((order, np.searchsorted(signals, columns[own]), target, places[own]))
+    return found

@@ -1,0 +1,231 @@
+"""Whether a control loop does what its gains promise, and when its command must go safe."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.control.contract import ControlledJoints, Controller, Response
+from mbd_ros.core.control.delay_margin import LONGEST, tolerable_delay
+from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+from mbd_ros.features.control.delay_meter import DelayMeter
+
+_POSES = 12  # beside the initial one
+_HELD = 0.04  # [s] for which a bound must be passed, less half the tolerable delay, and
+_TIMES = 2  # states in a row
+_SETTLING = 0.5  # [s] of full control until the error is judged, where it was not small before
+_FIRST_WAIT, _LONGEST_WAIT = 1.0, 60.0  # s
+_CALM = 30.0  # [s] without a fault after which the wait is the first one again
+_OLDEST, _RECENT = 4.0, 0.03  # times the tolerable delay, [s]: ages that are looked for
+_TOO_FAST = 2.0  # times the velocity limit: beyond, the loop counts as lost
+_CHANGE = 0.25  # of the period, after which the bounds are computed anew
+_SMOOTH = 0.1  # weight of the newest period
+
+
+class LossLimits(NamedTuple):
+    """When the loop counts as lost.
+
+    Attributes:
+        speed: Velocity of each joint [rad/s or m/s], shape (n,); inf without a limit.
+        error: Multiple of the error bound of the control law; inf: the error is only reported.
+    """
+
+    speed: Array
+    error: float
+
+
+def rest_responses(joints: ControlledJoints, initial: State) -> list[Response]:
+    """How the joints answer at rest: in the initial pose, and in others within their limits."""
+    system, newest = joints.system, joints.newest
+    rng, robot = np.random.default_rng(0), system.robot
+    lower = np.array([max(joint.lower, -np.pi) for joint in robot.joints])
+    upper = np.array([min(joint.upper, np.pi) for joint in robot.joints])
+    poses = [initial.q, *(rng.uniform(lower, upper) for _ in range(_POSES))]
+    still, found = np.zeros(robot.model.nv), []
+    for q in poses:
+        try:
+            at_rest = system.reduce(State(initial.t, q, still))
+            found.append(joints.response(system.expand(assemble(system, at_rest))))
+        except SolveError:  # a pose that the loops cannot take
+            continue
+    joints.newest = newest
+    return found
+
+
+class LoopWatch:
+    """Compares error, speed and delay of a loop with its bounds.
+
+    A value beyond its bound for 20 to 40 ms is a fault: the command has to go safe. Control may
+    return after a wait of 1 s without a fault of speed or delay. Every fault within 30 s of the
+    last return doubles the wait, up to a minute. `reset` ends it at once.
+
+    Args:
+        names: Joints.
+        controller: The control law; may be replaced.
+        rest: From `rest_responses`.
+        limits: See there.
+
+    Attributes:
+        fault: Why the command has to go safe; empty while it need not.
+        faults: How often it had to.
+        period: Of the states, smoothed [s]; 0 while not known.
+        tolerable: Delay that the loop tolerates [s]; inf while not known.
+        promised: Errors that the control law promises [rad or m], shape (n,); inf while not known.
+        meter: Measures the delay.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        controller: Controller,
+        rest: Sequence[Response],
+        limits: LossLimits,
+    ) -> None:
+        self._names, self._rest, self.limits = tuple(names), rest, limits
+        self.meter, self.faults = DelayMeter(len(names)), 0
+        self.period = 0.0
+        self.reset()
+        self.use(controller)
+
+    def use(self, controller: Controller) -> None:
+        """Watch another control law from now on."""
+        self._controller, self._computed = controller, 0.0
+        self.tolerable, self.promised = np.inf, np.full(len(self._names), np.inf)
+
+    def reset(self) -> None:
+        """Forget a fault and all states."""
+        self.fault, self._reasons, self._late_by = "", list[str](), 0.0
+        self._wait, self._back = _FIRST_WAIT, -np.inf
+        self.begin()
+
+    def begin(self) -> None:
+        """States come, for the first time or again."""
+        self.meter.reset()
+        self._intervals, self._passed, self._since = 0, 0, np.inf
+        self._full: float | None = None
+        self._is_settled = False
+
+    @property
+    def safe_step(self) -> float:
+        """Time to add to the step of a safe command, which is as late as any other [s].
+
+        A damper that is late by D is stable as long as it brakes no faster than within 2 D / pi.
+        D is what was measured; after a loss without a measurement it is taken for `LONGEST`.
+        """
+        measured = self.meter.delay
+        late_by = self._late_by if measured is None or self.fault else measured
+        return 2.0 * max(late_by, measured or 0.0)
+
+    @property
+    def delay(self) -> float | None:
+        """The measured delay [s], if any."""
+        return self.meter.delay
+
+    def warnings(self) -> list[str]:
+        """Values beyond their bounds now, one sentence each."""
+        none = f"the gains leave no room for a delay at a period of {1e3 * self.period:.3g} ms"
+        return [*self._reasons, *([none] if self.tolerable == 0.0 else [])]
+
+    def update(
+        self, t: float, dt: float, error: Array, v: Array, effort: Array | None, is_full: bool
+    ) -> None:
+        """Look at a state.
+
+        Args:
+            t: [s].
+            dt: Since the last one [s].
+            error: Of the joints, shape (n,).
+            v: Their velocities, shape (n,).
+            effort: What acted until then, NaN where not measured, shape (n,); None without.
+            is_full: Whether the safe command takes no part.
+        """
+        if dt > 0.0:
+            self._note_period(dt)
+            if effort is not None:
+                oldest = max(_OLDEST * min(self.tolerable, LONGEST), _RECENT)
+                self.meter.measure(t, effort, self.period, oldest)
+        self._note_settling(t, error, is_full)
+        self._reasons = self._late() + self._fast(v, 1.0) + self._off(error, 1.0)
+        if self.fault:
+            self._maybe_return(t, bool(self._too_late() + self._fast(v, _TOO_FAST)))
+        elif self._reasons:
+            far = self._off(error, self.limits.error)
+            self._maybe_end(t, self._too_late() + self._fast(v, _TOO_FAST) + far)
+        else:
+            self._passed = 0
+
+    def _note_period(self, dt: float) -> None:
+        self._intervals += 1
+        share = max(_SMOOTH, 1.0 / self._intervals)
+        self.period += share * (dt - self.period)
+        if self._intervals >= 10 and abs(self.period - self._computed) > _CHANGE * self._computed:
+            self._compute()
+
+    def _compute(self) -> None:
+        """The bounds for this period: the worst over the poses."""
+        self._computed, law = self.period, self._controller
+        gains = [law.loop_gains(r, self.period) for r in self._rest]
+        delays = [tolerable_delay(g, self.period).min() for g in gains if g is not None]
+        self.tolerable = float(min(delays)) if delays else np.inf
+        bounds = [law.tracking_bound(r, self.period) for r in self._rest]
+        self.promised = np.max(bounds, axis=0) if bounds else self.promised
+
+    def _note_settling(self, t: float, error: Array, is_full: bool) -> None:
+        """The error that a hand-over leaves is not that of the control law."""
+        if not is_full:
+            self._full, self._is_settled = None, False
+        elif not self._is_settled:
+            self._full = t if self._full is None else self._full
+            is_small = bool((np.abs(error) <= self.promised).all())
+            self._is_settled = is_small or t - self._full > _SETTLING
+
+    def _late(self) -> list[str]:
+        delay = self.meter.delay
+        if delay is None or delay <= self.tolerable + 0.5 * self.period:
+            return []
+        return [f"loop delay {1e3 * delay:.3g} ms, tolerable are {1e3 * self.tolerable:.3g} ms"]
+
+    def _too_late(self) -> list[str]:
+        """A delay that ends the loop: where gains leave no room for any, error and speed judge."""
+        return self._late() if self.tolerable > 0.0 else []
+
+    def _fast(self, v: Array, margin: float) -> list[str]:
+        limit = margin * self.limits.speed
+        if (np.abs(v) <= limit).all():
+            return []
+        return [f"speed {self._worst(np.abs(v), limit)} beyond its limit"]
+
+    def _off(self, error: Array, factor: float) -> list[str]:
+        size, bounds = np.abs(error), self.promised
+        if not self._is_settled or factor == np.inf or (size <= factor * bounds).all():
+            return []
+        return [f"tracking error {self._worst(size, bounds)} beyond its bound"]
+
+    def _worst(self, size: Array, limit: Array) -> str:
+        k = int((size / np.maximum(limit, 1e-12)).argmax())
+        return f"{size[k]:.3g} of {self._names[k]} (bound {limit[k]:.3g})"
+
+    def _maybe_end(self, t: float, lost: list[str]) -> None:
+        if not lost:
+            self._passed = 0
+            return
+        if not self._passed:
+            self._since = t
+        self._passed += 1
+        held = _HELD - 0.5 * min(self.tolerable, LONGEST)  # a late answer shows late
+        if self._passed >= _TIMES and t - self._since >= held:
+            is_again = t - self._back < _CALM
+            self._wait = min(2.0 * self._wait, _LONGEST_WAIT) if is_again else _FIRST_WAIT
+            self.fault, self._since, self._passed = "; ".join(lost), t, 0
+            self.faults += 1
+            self._late_by = LONGEST if self.meter.delay is None else self.meter.delay
+            self.meter.reset()  # it is to be measured anew, or to be forgotten
+
+    def _maybe_return(self, t: float, is_lost: bool) -> None:
+        if is_lost or t < self._since:  # also the first state after a gap
+            self._since = t
+        elif t - self._since >= self._wait:
+            self.fault, self._back = "", t
+            self.begin()

@@ -1,0 +1,42 @@
+"""Words of `mbd-ros bracket`."""
+
+import argparse
+
+from mbd_ros.errors import OK
+from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.lines import say
+from mbd_ros.scene.schema.locate import path_word
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The words that `bracket` understands."""
+    add_scene(parser)
+    parser.add_argument(
+        "-o", "--out", type=path_word, help="the table of brackets; .npz and .parquet hold checks"
+    )
+    parser.add_argument(
+        "--symbolic",
+        action="store_true",
+        help="expressions too (default: with up to four coordinates)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the words say; the exit code."""
+    from mbd_ros.features.dirac_brackets.job import bracket
+    from mbd_ros.files.formats import format_of
+    from mbd_ros.files.replacing import check_place, refuse_overwriting
+    from mbd_ros.files.table import MAIN, Result
+    from mbd_ros.scene.reader import load_any
+
+    out, scene = arguments.out, load_any(arguments.scene)
+    if out is not None:
+        refuse_overwriting(out, scene.path)
+        check_place(out)
+    result = bracket(scene, symbolic=arguments.symbolic or None, say=say)
+    if out is not None:
+        if format_of(out).one_table:
+            result = Result({MAIN: result[MAIN]}, result.metadata)
+        result.to(out)
+        say(f"{', '.join(result)} -> {out}")
+    return OK

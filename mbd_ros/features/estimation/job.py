@@ -1,0 +1,221 @@
+"""The motion that explains a recording best: `mbd-ros estimate`."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.estimation.kalman_filter import KalmanFilter
+from mbd_ros.core.estimation.smoother import Filtered, lagged, smoothed
+from mbd_ros.core.state import NANOSECOND, Array, Motion
+from mbd_ros.errors import MbdError, SceneError
+from mbd_ros.features.estimation.estimation import Estimation, estimation_of
+from mbd_ros.features.estimation.innovation_watch import InnovationWatch
+from mbd_ros.features.estimation.measured import measured_values, recorded_inputs
+from mbd_ros.features.estimation.tables import INNOVATIONS, innovation_table, sample_table
+from mbd_ros.features.estimation.task import EstimateTask
+from mbd_ros.features.estimation.tracker import Tracker
+from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.table import MAIN, Result
+from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Watch, progress, watching
+from mbd_ros.motion.columns import state_topics
+from mbd_ros.motion.recordings import Source, name_of, read_motion
+from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.task_reader import read_task
+
+NO_TASK = EstimateTask()
+
+
+class Estimated(NamedTuple):
+    """What was estimated.
+
+    Attributes:
+        estimation: Scene, process and estimator.
+        samples: One a sample of the recording, smoothed where that is possible.
+        inputs: u before each sample.
+        watch: What all innovations say.
+        faults: Number of a sensor -> what was wrong with it last, and how often.
+        restarts: How often the estimator began anew.
+    """
+
+    estimation: Estimation
+    samples: list[Filtered]
+    inputs: list[Array | None]
+    watch: InnovationWatch
+    faults: dict[str, tuple[str, int]]
+    restarts: int
+
+
+def estimate(
+    scene: Scene,
+    motion: Source,
+    *,
+    task: EstimateTask | str | Path = NO_TASK,
+    wrenches: Source | None = None,
+    topic: str = "/joint_states",
+    say: Say | None = None,
+    progress: Watch = False,
+    **options: Any,
+) -> Result:
+    """All joints of a mechanism, from what was recorded of it.
+
+    Args:
+        scene: The scene; its sensors besides what joint states carry.
+        motion: Result, file or bag with positions, velocities and efforts of some joints, and
+            `<sensor>` or `<sensor>.<component>` of sensors of the scene.
+        task: A task, or a task file with a section `estimate`.
+        wrenches: Result, file or bag of the external loads of the scene.
+        topic: JointState topic of a bag.
+        say: Is called with each line for people; without it the lines are
+            `metadata["remarks"]`.
+        progress: True for a line on a terminal, or a function of a label and a share.
+        **options: Attributes of `EstimateTask`, in place of those of the task.
+
+    Returns:
+        Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
+        `<joint>.position_deviation`, `.velocity_deviation`, multipliers, and
+        `disturbance.<joint>` with its `_deviation`. Table `innovations`: measured less predicted
+        of every number over its expected deviation, nan where it was not measured, and `nis`.
+
+    Raises:
+        DataError: Something cannot be read or does not fit the scene.
+        SolveError: The mechanism cannot be assembled, or its equations contradict one another.
+    """
+    remarks: list[str] = []
+    tell = say or remarks.append
+    with watching(progress):
+        asked = replace(_task(scene, task), **options)
+        found = run_estimate(scene, motion, asked, topic, tell, wrenches)
+        tables = {
+            MAIN: sample_table(found.estimation, found.samples, found.inputs),
+            INNOVATIONS: innovation_table(found.estimation, found.samples),
+        }
+    topics = state_topics(scene.robot, ("position", "velocity"))
+    given = {
+        "motion": motion,
+        "wrenches": wrenches,
+        "task": task if isinstance(task, str | Path) else None,
+        **options,
+    }
+    result = Result(tables, metadata_of("estimate", scene, given, topics))
+    result.metadata["consistency"] = found.watch.consistency()._asdict()
+    if say is None:
+        result.metadata["remarks"] = remarks
+    return result
+
+
+def estimate_to(
+    scene: Scene, motion: Path, out: Path, innovations: Path | None, say: Say, **options: Any
+) -> None:
+    """Read a recording, write the estimate, and perhaps its innovations.
+
+    Raises:
+        MbdError: As `estimate`, or a place that cannot be written to.
+    """
+    for place in filter(None, (out, innovations)):
+        refuse_overwriting(place, motion)
+        check_place(place)
+    result = estimate(scene, motion, say=say, progress=True, **options)
+    Result({MAIN: result[MAIN]}, result.metadata).to(out)
+    if innovations is not None:
+        Result({MAIN: result[INNOVATIONS]}, result.metadata).to(innovations)
+    say(f"{result[MAIN].rows} samples -> {out}")
+
+
+def run_estimate(
+    scene: Scene,
+    source: Source,
+    task: EstimateTask,
+    topic: str,
+    say: Say,
+    wrenches: Source | None = None,
+) -> Estimated:
+    """See `estimate`."""
+    where = name_of(source)
+    names = [joint.name for joint in scene.robot.joints]
+    recording = read_motion(source, names, topic=topic, required=())
+    for reason, count in recording.dropped.items():
+        say(f"{where}: {count} messages left out: {reason}")
+    motion = recording.motion
+    given = [n for i, n in enumerate(names) if np.isfinite(motion.position[:, i]).any()]
+    rated = _rated(motion)
+    with about(where):
+        estimation = estimation_of(scene, task, given, rated)
+    say(f"measured: {', '.join(estimation.process.sensors.names)}")
+    values = measured_values(estimation, source, motion)
+    inputs = recorded_inputs(estimation, motion, wrenches, say)
+    found = _filtered(estimation, motion.stamps * NANOSECOND, values, inputs, where)
+    for line in _lines(found):
+        say(line)
+    if isinstance(estimation.estimator, KalmanFilter):
+        if task.lag is None:
+            after = smoothed(estimation.process, found.samples)
+        else:
+            after = lagged(estimation.process, found.samples, task.lag)
+        samples = [
+            s._replace(belief=b._replace(innovation=s.belief.innovation))
+            for s, b in zip(found.samples, after, strict=True)
+        ]
+        found = found._replace(samples=samples)
+    return found
+
+
+def _filtered(
+    estimation: Estimation, times: Array, values: Array, inputs: list[Array | None], where: str
+) -> Estimated:
+    process, estimator = estimation.process, estimation.estimator
+    first = estimation.scene.initial._replace(t=float(times[0]))
+    with about(where):
+        y = process.near(process.consistent(first), values[0], estimation.prior)
+        estimator.begin(y, estimation.prior, float(times[0]))
+    tracker = Tracker(estimator, process.sensors, memory=0.0)
+    tracker.watch = InnovationWatch(len(times))
+    samples, faults = list[Filtered](), dict[str, tuple[str, int]]()
+    for k, t in progress(enumerate(times.tolist()), len(times), "estimate"):
+        try:
+            tracker.take(t, values[k], inputs[k])
+        except MbdError as error:
+            raise type(error)(f"{where}: at t = {t:.9g} s: {error}") from error
+        belief = estimator.belief
+        is_filter = isinstance(estimator, KalmanFilter)
+        samples.append(estimator.sample if is_filter else Filtered(None, belief, belief))
+        for name, what in tracker.faults.found().items():
+            faults[name] = what, faults.get(name, ("", 0))[1] + 1
+    return Estimated(estimation, samples, inputs, tracker.watch, faults, tracker.restarts)
+
+
+def _task(scene: Scene, task: EstimateTask | str | Path) -> EstimateTask:
+    if isinstance(task, EstimateTask):
+        return task
+    parts = read_task(task, scene).parts
+    if "estimate" not in parts:
+        raise SceneError(f"{task}: no section 'estimate'")
+    asked: EstimateTask = parts["estimate"]
+    return asked
+
+
+def _rated(motion: Motion) -> list[str]:
+    if motion.velocity is None:
+        return []
+    told = np.isfinite(motion.velocity).any(axis=0) & motion.velocity.any(axis=0)
+    return [name for name, is_told in zip(motion.names, told, strict=True) if is_told]
+
+
+def _lines(found: Estimated) -> Iterator[str]:
+    consistency = found.watch.consistency()
+    low, high = consistency.nis_band
+    yield (
+        f"innovations: mean square {consistency.nis:.4g} of what is expected, {low:.4g} .. "
+        f"{high:.4g} for a right model; correlation {consistency.correlation:.3g}"
+    )
+    if consistency.fault:
+        yield f"warning: {consistency.fault}"
+    for name, (what, count) in found.faults.items():
+        yield f"warning: {name}: {what} (at {count} samples)"
+    if found.restarts:
+        yield f"warning: the estimator began anew {found.restarts} times: nothing fitted"

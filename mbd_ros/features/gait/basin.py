@@ -1,0 +1,155 @@
+"""Which starts lead to a gait, and which fall."""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.sensitivities.simulated_flow import SimulatedFlow
+from mbd_ros.core.sensitivities.travel import Travel
+from mbd_ros.core.state import State
+from mbd_ros.errors import DataError, FallError, SolveError
+from mbd_ros.features.gait.flows import SceneFamily, flow_of
+from mbd_ros.features.gait.invariance import candidates
+from mbd_ros.features.gait.search import Gait
+from mbd_ros.features.gait.starts import Start, grid_starts, placed_at
+from mbd_ros.features.gait.task import BasinTask, gait_task
+from mbd_ros.jobs.workers.opening import cores, do_all, open_workers
+from mbd_ros.jobs.workers.remaining import watched
+from mbd_ros.jobs.workers.task import Task
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import load_scene
+
+FELL, UNDECIDED, NOT_PLACED = 0, -1, -2
+_SHARES = 8  # tasks a worker
+_LONG = 5.0  # periods within which a cycle ends
+
+
+class Outcome(NamedTuple):
+    """What became of a start.
+
+    Attributes:
+        start: Values of joints.
+        number: Of the gait, from 1 on, or one of `FELL`, `UNDECIDED`, `NOT_PLACED`.
+        cycles: Cycles until that was known.
+    """
+
+    start: Start
+    number: int
+    cycles: int
+
+
+def outcome_word(number: int) -> str:
+    """What became of a start, for people."""
+    words = {FELL: "fell", UNDECIDED: "undecided", NOT_PLACED: "not placed"}
+    return words.get(number, f"gait {number}")
+
+
+def basin_of(
+    family: SceneFamily,
+    gaits: Sequence[Gait],
+    asked: BasinTask,
+    workers: int | None,
+    scheduler: str | None,
+) -> list[Outcome]:
+    """What becomes of every start of a grid.
+
+    Args:
+        family: The scene and its task.
+        gaits: The gaits; those that are stable are looked for, or all where none is.
+        asked: The grid.
+        workers: How many cores work at the same time.
+        scheduler: Of a Dask cluster.
+
+    Raises:
+        DataError: A worker has failed.
+    """
+    scene, starts = family.scene, list(grid_starts(asked.grid))
+    order = _order(family, gaits, asked)
+    alone = scene.path is None or scene.code or (workers == 1 and scheduler is None)
+    if alone or len(starts) < 2:
+        found = _scan(scene, order, starts)
+        return [Outcome(start, *each) for start, each in zip(starts, found, strict=True)]
+    with open_workers(scheduler, workers or cores()) as opened:
+        size = -(-len(starts) // (_SHARES * max(opened.count, 1)))
+        tasks = [
+            Task(f"starts {i}", f"{__name__}:scan", {**order, "starts": starts[i : i + size]})
+            for i in range(0, len(starts), size)
+        ]
+        done = {t.name: r for t, r in watched(do_all(opened, tasks), tasks, opened.count)}
+    outcomes = []
+    for task in tasks:
+        if done[task.name].failure:
+            raise DataError(f"{task.name}: {done[task.name].failure}")
+        pairs = zip(task.argument["starts"], done[task.name].value, strict=True)
+        outcomes += [Outcome(start, *each) for start, each in pairs]
+    return outcomes
+
+
+def scan(order: Mapping[str, Any]) -> list[list[int]]:
+    """Some of the starts, in a worker; number and cycles of each."""
+    return [list(one) for one in _scan(load_scene(order["scene"]), order, order["starts"])]
+
+
+def _order(family: SceneFamily, gaits: Sequence[Gait], asked: BasinTask) -> dict[str, Any]:
+    stable = [g.motion.is_stable for g in gaits]
+    chosen = [(i, g) for i, g in enumerate(gaits, 1) if stable[i - 1] or not any(stable)]
+    first, task = gaits[0], family.task
+    period = max(g.motion.passage.period for g in gaits) / task.cycles
+    return {
+        "scene": str(family.scene.path),
+        "task": {"integrator": dict(task.integrator), "longest": _LONG * period}
+        | ({} if task.event is None else {"event": task.event}),
+        "travel": first.travel.directions.tolist(),
+        "gaits": [[i, *_listed(g.motion.state)] for i, g in chosen],
+        "start": _listed(first.motion.state),
+        "cycles": asked.cycles,
+        "near": asked.near,
+    }
+
+
+def _listed(x: State) -> list[Any]:
+    return [x.t, x.q.tolist(), x.v.tolist(), x.z.tolist(), list(x.mode)]
+
+
+def _state(listed: Sequence[Any]) -> State:
+    t, q, v, z, mode = listed
+    return State(t, np.array(q), np.array(v), np.array(z), tuple(mode))
+
+
+def _scan(
+    scene: Scene, order: Mapping[str, Any], starts: Sequence[Start]
+) -> list[tuple[int, int]]:
+    flow = flow_of(scene, gait_task(order["task"], "basin"))
+    coordinates = candidates(flow.system)
+    directions = np.array(order["travel"]).reshape(-1, len(coordinates))
+    travel = Travel(coordinates, directions)
+    gaits = {number: _state(listed) for number, *listed in order["gaits"]}
+    first, found = _state(order["start"]), []
+    for start in starts:
+        try:
+            x = placed_at(scene, flow, first, start)
+        except SolveError:
+            found.append((NOT_PLACED, 0))
+            continue
+        found.append(_followed(flow, travel, x, gaits, order))
+    return found
+
+
+def _followed(
+    flow: SimulatedFlow,
+    travel: Travel,
+    x: State,
+    gaits: Mapping[int, State],
+    order: Mapping[str, Any],
+) -> tuple[int, int]:
+    for cycle in range(1, int(order["cycles"]) + 1):
+        try:
+            x = flow.cycle(x)[-1].after
+        except FallError:
+            return FELL, cycle
+        for number, gait in gaits.items():
+            apart = flow.minus(travel.back(flow, x, gait), gait)
+            if float(np.abs(apart).max()) < float(order["near"]):
+                return number, cycle
+    return UNDECIDED, int(order["cycles"])

@@ -1,0 +1,250 @@
+"""Branches of periodic motions along a parameter, by pseudo-arclength."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mbd_ros.core.events.event_location import sign_change
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import FallError, MbdError, SolveError
+from mbd_ros.features.gait.branch import Branch, BranchPoint, changes, test
+from mbd_ros.features.gait.periodic import PeriodicMotion, is_accepted, is_closed, newton
+from mbd_ros.features.gait.return_map import Passage, ReturnMap, multipliers
+
+Family = Callable[[float], ReturnMap]
+"""The return map at a value of the parameter."""
+
+_FIRST, _LONGEST, _SHORTEST = 0.02, 0.1, 1.0e-6  # of steps, in units of state and range
+_PROBE = 1.0e-4  # of the range: difference by the parameter
+_CORRECTIONS, _RENEWALS = 16, 4
+_GAIN = 0.5  # of a correction, below which derivatives are computed anew
+_LOCATED = 1.0e-9  # of a step: where a test function is zero
+_TRIES, _APART, _ASIDE = 6, 1.0e-5, 2.0e-3  # of the state: first step onto a doubled branch
+
+
+@dataclass(frozen=True)
+class Continuation:
+    """Follows periodic motions along a parameter.
+
+    The unknowns are the state before the event of the section and the parameter, in units of its
+    range; each point is on a plane across the tangent of the branch, so that folds are passed.
+
+    Source: H. B. Keller, Numerical solution of bifurcation and nonlinear eigenvalue problems,
+    in: Applications of Bifurcation Theory, 1977, 359-384.
+
+    Attributes:
+        family: The return map at a value of the parameter.
+        low: Smallest value.
+        high: Largest value.
+        most: Points of one branch.
+        notice: Is called with every new point.
+    """
+
+    family: Family
+    low: float
+    high: float
+    most: int = 200
+    notice: Callable[[BranchPoint], None] = lambda point: None
+
+    def branch(self, start: PeriodicMotion, parameter: float, way: int, cycles: int = 1) -> Branch:
+        """The branch through a motion.
+
+        Args:
+            start: Motion to begin with.
+            parameter: Its value of the parameter.
+            way: 1 to larger values, -1 to smaller ones, at first.
+            cycles: After how many it repeats.
+        """
+        guess = np.zeros(len(start.derivative) + 1)
+        guess[-1] = float(way)
+        first = self._point(start, parameter, guess, cycles)
+        return self._followed(first, cycles)
+
+    def doubled(self, at: BranchPoint, cycles: int) -> Branch:
+        """The branch of motions that repeat after twice as many cycles.
+
+        Args:
+            at: A doubling on a branch.
+            cycles: After how many the motions of that branch repeat.
+
+        Raises:
+            SolveError: No motion was found beside it.
+        """
+        values, vectors = np.linalg.eig(at.motion.derivative)
+        aside = vectors[:, np.abs(values + 1.0).argmin()].real
+        aside = np.append(aside, 0.0)
+        aside -= aside.dot(at.tangent) * at.tangent  # or the plane would meet the old branch, too
+        at = at._replace(tangent=aside / np.linalg.norm(aside), mark="")
+        step = _ASIDE
+        for _ in range(_TRIES):
+            found = self._next(at, step, 2 * cycles, is_aside=True)
+            if found is not None and not self._repeats(found, cycles):
+                return self._followed(found, 2 * cycles, step, cycles)
+            step *= 2.0
+        raise SolveError(f"no motion of {2 * cycles} cycles found beside the period doubling")
+
+    def _repeats(self, point: BranchPoint, cycles: int) -> bool:
+        """Whether a motion repeats after fewer cycles."""
+        passage = self._map(point.parameter, cycles).passage(point.motion.passage.begin)
+        return bool(np.abs(passage.residual).max() < _APART)
+
+    def _followed(
+        self, first: BranchPoint, cycles: int, step: float = _FIRST, fewer: int = 0
+    ) -> Branch:
+        """The branch from a point on, which is not that of motions that repeat after fewer."""
+        points = [first]
+        self.notice(first)
+        while len(points) < self.most:
+            found = self._next(points[-1], step, cycles)
+            if found is None or (fewer and self._repeats(found, fewer)):
+                step *= 0.5
+                if step < _SHORTEST:
+                    return Branch(tuple(points), cycles, "no motion was found beyond")
+                continue
+            point, before, step = found, points[-1], min(_LONGEST, 2.0 * step)
+            if not self.low <= point.parameter <= self.high:
+                last = self._at_end(before, point, cycles)
+                if last is not None:
+                    self._add(points, [*self._marked(before, last, cycles), last])
+                return Branch(tuple(points), cycles, "end of the range")
+            self._add(points, [*self._marked(before, point, cycles), point])
+        return Branch(tuple(points), cycles, f"{self.most} points")
+
+    def _add(self, points: list[BranchPoint], more: list[BranchPoint]) -> None:
+        for point in more:
+            points.append(point)
+            self.notice(point)
+
+    def _marked(self, one: BranchPoint, other: BranchPoint, cycles: int) -> list[BranchPoint]:
+        """The points between two others at which something happens."""
+        found = []
+        length = self._length(one, other)
+        for mark in changes(one, other):
+
+            def height(step: float, mark: str = mark) -> float:
+                point = self._next(one, step, cycles)
+                if point is None:
+                    raise SolveError(f"a {mark} could not be located")
+                return test(mark, point)
+
+            ends = (0.0, test(mark, one)), (length, test(mark, other))
+            try:
+                step = sign_change(height, *ends, _LOCATED * length)
+                at = self._next(one, step, cycles)
+            except MbdError:
+                at = None
+            if at is not None:
+                found.append((step, at._replace(mark=mark)))
+        return [point for _, point in sorted(found, key=lambda pair: pair[0])]
+
+    def _length(self, one: BranchPoint, other: BranchPoint) -> float:
+        """Step from one point whose plane the other one is on."""
+        way = self.family(one.parameter)
+        apart = way.flow.minus(other.motion.passage.begin, one.motion.passage.begin)
+        moved = np.append(apart, (other.parameter - one.parameter) / self._range)
+        return float(moved.dot(one.tangent))
+
+    def _at_end(self, one: BranchPoint, beyond: BranchPoint, cycles: int) -> BranchPoint | None:
+        """The point at the end of the range, between two others; None where it is not found."""
+        value = self.low if beyond.parameter < self.low else self.high
+        way = self.family(value).repeated(cycles)
+        part = (value - one.parameter) / (beyond.parameter - one.parameter)
+        y = _between(way, one.motion.passage.begin, beyond.motion.passage.begin, part)
+        try:
+            motion = newton(way, way.passage(y))
+            return self._point(motion, value, beyond.tangent, cycles)
+        except (FallError, SolveError):
+            return None
+
+    @property
+    def _range(self) -> float:
+        return self.high - self.low
+
+    def _next(
+        self, at: BranchPoint, step: float, cycles: int, *, is_aside: bool = False
+    ) -> BranchPoint | None:
+        """The point on the plane across the tangent, a step away; None where there is none.
+
+        Newton's method with the derivatives of the point before it, which Broyden's updates keep
+        near those of the guesses: a derivative costs as much as many passages. Where that gains
+        nothing they are computed anew, and where the step leads off the branch.
+        """
+        parameter = at.parameter + step * at.tangent[-1] * self._range
+        system, renewed = np.vstack((at.slopes, at.tangent)), 0
+        try:
+            flow = self._map(parameter, cycles).flow
+            y = flow.plus(at.motion.passage.begin, step * at.tangent[:-1])
+            passage = self._map(parameter, cycles).passage(y)
+            miss = self._miss(at, step, passage, parameter)
+            if is_aside:
+                slopes, _ = self._slopes(passage, parameter, cycles)
+                system = np.vstack((slopes, at.tangent))
+            for _ in range(_CORRECTIONS):
+                if is_closed(passage) and abs(miss[-1]) < _LOCATED:
+                    return self._arrived(at, passage, parameter, cycles)
+                change = np.asarray(np.linalg.solve(system, -miss), dtype=np.float64)
+                parameter += change[-1] * self._range
+                passage = self._map(parameter, cycles).passage(
+                    flow.plus(passage.begin, change[:-1])
+                )
+                miss, last = self._miss(at, step, passage, parameter), miss
+                if np.linalg.norm(miss) < _GAIN * np.linalg.norm(last):
+                    error = miss - last - system.dot(change)
+                    system += np.outer(error, change) / change.dot(change)
+                elif is_accepted(passage) and abs(miss[-1]) < _LOCATED:
+                    return self._arrived(at, passage, parameter, cycles)
+                elif renewed == _RENEWALS:
+                    return None
+                else:
+                    slopes, _ = self._slopes(passage, parameter, cycles)
+                    system, renewed = np.vstack((slopes, at.tangent)), renewed + 1
+        except (FallError, SolveError, np.linalg.LinAlgError):
+            return None
+        return None
+
+    def _arrived(
+        self, at: BranchPoint, passage: Passage, parameter: float, cycles: int
+    ) -> BranchPoint:
+        slopes, derivative = self._slopes(passage, parameter, cycles)
+        motion = PeriodicMotion(passage, derivative, multipliers(derivative))
+        return BranchPoint(parameter, motion, _tangent(slopes, at.tangent), slopes)
+
+    def _map(self, parameter: float, cycles: int) -> ReturnMap:
+        return self.family(parameter).repeated(cycles)
+
+    def _miss(self, at: BranchPoint, step: float, passage: Passage, parameter: float) -> Array:
+        """What is left of the return map, then of the plane, shape (n + 1,)."""
+        flow = self.family(parameter).flow
+        apart = flow.minus(passage.begin, at.motion.passage.begin)
+        moved = np.append(apart, (parameter - at.parameter) / self._range)
+        return np.append(passage.residual, float(moved.dot(at.tangent)) - step)
+
+    def _point(
+        self, motion: PeriodicMotion, parameter: float, guess: Array, cycles: int
+    ) -> BranchPoint:
+        slopes, _ = self._slopes(motion.passage, parameter, cycles, motion.derivative)
+        return BranchPoint(parameter, motion, _tangent(slopes, guess), slopes)
+
+    def _slopes(
+        self, passage: Passage, parameter: float, cycles: int, derivative: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Derivative of the residual by state and parameter, (n, n + 1), and that of the map."""
+        if derivative is None:
+            derivative = self.family(parameter).repeated(cycles).derivative(passage)
+        ends = []
+        for side in (1.0, -1.0):
+            way = self.family(parameter + side * _PROBE * self._range).repeated(cycles)
+            ends.append(way.passage(passage.begin).residual)
+        by_parameter = (ends[0] - ends[1]) / (2.0 * _PROBE)
+        return np.column_stack((derivative - np.eye(len(derivative)), by_parameter)), derivative
+
+
+def _tangent(slopes: Array, like: Array) -> Array:
+    """The direction that the slopes leave free, on the side of another one."""
+    direction: Array = np.linalg.svd(slopes)[2][-1]
+    return direction if direction.dot(like) >= 0.0 else -direction
+
+
+def _between(way: ReturnMap, one: State, other: State, part: float) -> State:
+    return way.flow.plus(one, part * way.flow.minus(other, one))

@@ -1,0 +1,160 @@
+"""Tables of gaits, of their motion, of branches and basins."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbd_ros.core.sensitivities.simulated_flow import SimulatedFlow
+from mbd_ros.core.state import Array, State
+from mbd_ros.features.gait.branch import DOUBLING, FOLD, TORUS
+from mbd_ros.features.gait.branches import NamedBranch
+from mbd_ros.features.gait.measures import Measures
+from mbd_ros.features.gait.search import Gait
+from mbd_ros.files.table import Column, Table
+from mbd_ros.files.times import TIME
+from mbd_ros.motion.columns import body_columns, joint_columns, whole_bodies
+from mbd_ros.motion.state_table import table_of
+
+if TYPE_CHECKING:
+    from mbd_ros.features.gait.basin import Outcome
+
+GAITS, BRANCHES, BASIN = "gaits", "branches", "basin"
+MARKS = ("", FOLD, DOUBLING, TORUS)  # by their numbers in a table
+_SHOWN = 201  # states of a segment
+
+
+def gait_table(flow: SimulatedFlow, gaits: Sequence[Gait], found: Sequence[Measures]) -> Table:
+    """A row a gait.
+
+    Returns:
+        `gait`, `period`, `stable`, `travel`, `speed`, `energy_lost`, `positive_work`,
+        `negative_work`, `cost_of_transport`, `multiplier_1.real`, `.imaginary`, .., the state just
+        after the event of the section, and `residual` of the return map.
+    """
+    motions = [gait.motion for gait in gaits]
+    columns = [
+        Column("gait", np.arange(1, len(gaits) + 1)),
+        Column("period", np.array([one.period for one in found]), "s"),
+        Column("stable", np.array([motion.is_stable for motion in motions])),
+        *_measured(found),
+        *_multiplier_columns([motion.multipliers for motion in motions]),
+        *state_columns(flow, [motion.state for motion in motions]),
+        Column("residual", np.array([motion.residual for motion in motions])),
+    ]
+    return Table(columns)
+
+
+def motion_table(flow: SimulatedFlow, gait: Gait) -> Table:
+    """A gait over the cycles after which it repeats, with the columns of a simulation.
+
+    Samples at an event inside hold the state after it; the last one is before the last event.
+    """
+    states, segments = list[State](), list[int]()
+    begin = gait.motion.passage.segments[0].begin.t
+    for i, segment in enumerate(gait.motion.passage.segments):
+        if segment.end.t <= segment.begin.t:
+            continue
+        if states:
+            del states[-1], segments[-1]
+        some = flow.states(segment, _SHOWN)
+        states += [flow.system.expand(y)._replace(mode=y.mode) for y in some]
+        segments += [i] * len(some)
+    table, _, failure = table_of(flow, states)  # type: ignore[arg-type]
+    if failure is not None:
+        raise failure
+    columns = [c._replace(values=c.values - begin) if c.name == TIME else c for c in table.columns]
+    return Table([*columns, Column("gait.segment", np.array(segments))])
+
+
+def branch_table(
+    flow: SimulatedFlow, branches: Sequence[NamedBranch], gaits: Sequence[Gait]
+) -> Table:
+    """A row a point of a branch.
+
+    Returns:
+        `branch`, `gait`, `cycles`, `parameter`, `period`, `stable`, `mark`,
+        `travel`, `speed`, multipliers and the state just after the event of the section. A mark is
+        0 at an ordinary point, 1 at a fold, 2 at a period doubling, 3 at a torus bifurcation.
+    """
+    rows = [(i, b, p) for i, b in enumerate(branches, 1) for p in b.branch.points]
+    motions = [point.motion for _, _, point in rows]
+    periods = np.array([motion.passage.period for motion in motions])
+    columns = [
+        Column("branch", np.array([i for i, _, _ in rows])),
+        Column("gait", np.array([named.gait for _, named, _ in rows])),
+        Column("cycles", np.array([named.branch.cycles for _, named, _ in rows])),
+        Column("parameter", np.array([point.parameter for _, _, point in rows])),
+        Column("period", periods, "s"),
+        Column("stable", np.array([motion.is_stable for motion in motions])),
+        Column("mark", np.array([MARKS.index(point.mark) for _, _, point in rows])),
+    ]
+    travel = gaits[0].travel
+    if len(travel.directions):
+        moved = [
+            travel.place(motion.passage.segments[-1].end) - travel.place(motion.passage.begin)
+            for motion in motions
+        ]
+        length = np.linalg.norm(moved, axis=1)
+        columns += [Column("travel", length, "m"), Column("speed", length / periods, "m/s")]
+    columns += _multiplier_columns([motion.multipliers for motion in motions])
+    return Table([*columns, *state_columns(flow, [motion.state for motion in motions])])
+
+
+def basin_table(outcomes: "Sequence[Outcome]") -> Table:
+    """A row a start: its values, `outcome` and `cycles`.
+
+    An outcome is the number of the gait, 0 for a fall, -1 where neither was seen, -2 where the
+    mechanism cannot be closed there.
+    """
+    names = list(outcomes[0].start)
+    return Table(
+        [
+            *(Column(name, np.array([one.start[name] for one in outcomes])) for name in names),
+            Column("outcome", np.array([one.number for one in outcomes])),
+            Column("cycles", np.array([one.cycles for one in outcomes])),
+        ]
+    )
+
+
+def state_columns(flow: SimulatedFlow, states: Sequence[State]) -> list[Column]:
+    """Positions and velocities of joints and free bodies, and internal states."""
+    system = flow.system
+    every = [system.expand(y) for y in states]
+    q, v, z = (np.array([getattr(x, key) for x in every]) for key in ("q", "v", "z"))
+    joints, internals = system.robot.joints, system.internals
+    return [
+        *joint_columns(joints, "position", q[:, [joint.q for joint in joints]]),
+        *joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]]),
+        *body_columns(system.robot, whole_bodies(system.robot, q, v, None)),
+        *(
+            Column(name, values, unit)
+            for name, values, unit in zip(internals.names, z.T, internals.units, strict=True)
+        ),
+    ]
+
+
+def _measured(found: Sequence[Measures]) -> list[Column]:
+    columns = []
+    for name, unit in (
+        ("travel", "m"),
+        ("speed", "m/s"),
+        ("energy_lost", "J"),
+        ("positive_work", "J"),
+        ("negative_work", "J"),
+        ("cost_of_transport", ""),
+    ):
+        values = [getattr(one, name) for one in found]
+        if None not in values:
+            columns.append(Column(name, np.array(values, dtype=np.float64), unit))
+    return columns
+
+
+def _multiplier_columns(every: Sequence[Array]) -> list[Column]:
+    values, columns = np.array(every), []
+    for i, each in enumerate(values.T, 1):
+        if i == 1 or np.abs(each).max() > 0.0:
+            name = f"multiplier_{i}"
+            columns.append(Column(f"{name}.real", each.real))
+            columns.append(Column(f"{name}.imaginary", each.imag))
+    return columns

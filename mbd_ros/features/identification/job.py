@@ -1,0 +1,201 @@
+"""Identification of inertias and friction from recorded motion: `mbd-ros identify`."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mbd_ros.errors import DataError
+from mbd_ros.features.identification.checks import (
+    check_excitation,
+    check_length,
+    check_still,
+    check_units,
+)
+from mbd_ros.features.identification.coupled_motors import choose_motors, coupled_in
+from mbd_ros.features.identification.gains import estimate_gains
+from mbd_ros.features.identification.identified_scene import without_friction
+from mbd_ros.features.identification.least_squares import stacked
+from mbd_ros.features.identification.movement import movement, moves_as_one
+from mbd_ros.features.identification.outcome import outcome
+from mbd_ros.features.identification.physical_consistency import Consistent, consistent
+from mbd_ros.features.identification.problem import Problem
+from mbd_ros.features.identification.regression import Learned, Search, learn
+from mbd_ros.features.identification.task import Identified, Task
+from mbd_ros.files.table import Result
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.motion.recordings import Source
+from mbd_ros.scene.built_scene import Scene
+
+_LEAST = 1.0e-6  # of the usual torque: deviations that weigh rows beside what bodies can have
+_LONGEST = 10.0  # s: of a delay
+_REACH = 1.0  # periods of the end of the band: delays that are looked for
+_AGAIN = 2  # fits: friction that grows with the load needs the load of the model found before
+
+
+def identify(
+    scene: Scene,
+    *motions: Source,
+    wrenches: Source | Sequence[Source] = (),
+    topic: str = "/joint_states",
+    derivatives: str | None = None,
+    band: float | None = None,
+    friction: str | Sequence[str] = "auto",
+    gains: Mapping[str, float] | None = None,
+    passive: Sequence[str] = (),
+    learned: float = 0.6,
+    delay: float | None = None,
+    partial: bool = False,
+    held: Source | Sequence[Source] = (),
+    payload: tuple[str, Sequence[float]] | None = None,
+    known: Sequence[str] = (),
+    currents: bool = False,
+    say: Say | None = None,
+    progress: Watch = False,
+) -> Identified:
+    """Inertias, friction and their accuracy, from motion and measured efforts.
+
+    Args:
+        scene: The scene; its inertias are where nothing is known, and its `joint_friction` and
+            `gear_friction` are found anew.
+        *motions: Results, files or bags with positions and efforts.
+        wrenches: Of tables with external loads, one a motion.
+        topic: JointState topic of bags.
+        derivatives: given or zero-phase; None: given where a motion has accelerations.
+        band: End of the band that is looked at [Hz]; None: from the motion.
+        friction: `auto`, `none`, or terms: viscous, coulomb, offset, load, stribeck, inertia.
+        gains: Joint -> torque for a unit of its effort.
+        passive: Joints without a motor, whose effort is 0 where wrenches are measured.
+        learned: Share of the time of each recording that is learned from, its first part; the
+            rest is for the test.
+        delay: Of efforts against motion [s]; None: estimated.
+        partial: Go on with a motion that does not show all that states can show.
+        held: Motions with a known load, besides those without it.
+        payload: That load: link, and mass, centre and perhaps three principal moments about it
+            in the axes of the link.
+        known: Links that the description has right.
+        currents: Efforts are in other units; gains that are not given are estimated, which
+            something known has to fix.
+        say: Is called with each line for people.
+        progress: True for a line on a terminal, or a function of a label and a share.
+
+    Returns:
+        The scene with these numbers, and tables.
+
+    Raises:
+        DataError: Recordings that cannot be read, or that say nothing, with the reason.
+        SolveError: Inertias that bodies can have are not found.
+    """
+    loads = _several(wrenches)
+    task = Task(
+        motions,
+        loads,
+        topic,
+        derivatives,
+        band,
+        [friction] if isinstance(friction, str) else list(friction),
+        gains or {},
+        passive,
+        learned,
+        delay,
+        partial,
+        _several(held),
+        payload,
+        known,
+        currents,
+    )
+    remarks: list[str] = []
+
+    def told(line: str) -> None:
+        remarks.append(line)
+        if say is not None:
+            say(line)
+
+    with watching(progress):
+        return run_identify(scene, task, told)._replace(remarks=remarks)
+
+
+def _several(sources: Source | Sequence[Source]) -> list[Source]:
+    return [sources] if isinstance(sources, str | Path | Result) else list(sources)
+
+
+def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
+    """See `identify`."""
+    if not 0.1 <= task.learned <= 1.0:
+        raise DataError(f"--learned {task.learned:g}: accepted are 0.1 .. 1")
+    _check_numbers(task)
+    allowed = task.allowed
+    bare = without_friction(scene)
+    problem = Problem(bare, task, say)
+    coupled = coupled_in(scene, problem.labels)
+    if task.currents:
+        if coupled is not None:  # currents are those of motors
+            problem.couple(coupled._replace(are_measured=True))
+        estimate_gains(problem, allowed, say)
+    if {"coulomb", "viscous"} & set(allowed):
+        choose_motors(problem, coupled, allowed, _search(problem), say)
+    found, fitted = _fitted(problem, allowed, say)
+    if any(
+        problem.columns[i][k].term == "load" for i, own in enumerate(found.fit.taken) for k in own
+    ):
+        for _ in range(_AGAIN - 1):
+            problem.carry(fitted.inertial)
+            found, fitted = _fitted(problem, allowed, lambda line: None)
+    return outcome(scene, problem, found, fitted, say)
+
+
+def _check_numbers(task: Task) -> None:
+    """Refuse numbers without a meaning."""
+    if task.band is not None and not 0.0 < task.band < float("inf"):
+        raise DataError(f"--band {task.band:g}: must be finite and > 0")
+    if task.delay is not None and not abs(task.delay) <= _LONGEST:
+        raise DataError(f"--delay {task.delay:g}: accepted are -{_LONGEST:g} .. {_LONGEST:g} s")
+
+
+def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned, Consistent]:
+    """Least squares, then the nearest bodies."""
+    r, task = len(problem.base.chosen), problem.task
+    if task.delay is not None:
+        problem.shift(task.delay)
+    for line in check_still(problem.where, movement(problem), problem.texts, task.partial):
+        say(line)
+    about = allowed, _search(problem), problem.correlation
+    found = learn(problem.blocks, problem.columns, r, *about)
+    if found.delay:
+        later = "later" if found.delay > 0 else "earlier"
+        say(f"efforts come {abs(found.delay) * 1e3:.3g} ms {later} than the motion: taken out")
+    driven = problem.joints >= 0
+    measured = [j for j, is_driven in zip(found.joints, driven, strict=True) if is_driven]
+    names = [n for n, is_driven in zip(problem.labels, driven, strict=True) if is_driven]
+    check_units(problem.where, names, measured, problem.base.values(problem.given.ravel()), r)
+    check_length(problem.where, found.joints, r + sum(map(len, found.fit.taken)), problem.seconds)
+    whole = np.concatenate(
+        [j.R[:, :r] / d for j, d in zip(found.joints, found.fit.deviation, strict=True)]
+    )
+    shown = problem.where, problem.base, problem.texts, whole, task.partial
+    for line in check_excitation(*shown, moves_as_one(problem)):
+        say(line)
+    return found, _nearest(problem, found)
+
+
+def _search(problem: Problem) -> Search:
+    """Delays that are looked for: none where one is given."""
+    has_motors = problem.band is not None and (problem.joints >= 0).any()
+    is_open = problem.task.delay is None and has_motors
+    return Search(_REACH / (problem.band or 1.0) if is_open else 0.0, 0.5 * problem.step)
+
+
+def _nearest(problem: Problem, found: Learned) -> Consistent:
+    """The nearest bodies, rows weighed by what they are worth."""
+    r, fit = len(problem.base.chosen), found.fit
+    worth = np.array([np.sqrt(max(j.effective, 1.0) / max(j.rows, 1)) for j in found.joints])
+    usual = np.array([joint.usual for joint in found.joints])
+    least = np.maximum(_LEAST * usual, 0.1 * _LEAST * usual.max())
+    deviation = np.maximum(fit.deviation, least) / worth
+    A, b = stacked(found.joints, fit.taken, r, deviation)
+    signed = [
+        problem.columns[i][k].term != "offset" for i, own in enumerate(fit.taken) for k in own
+    ]
+    is_signed = np.array(signed, dtype=np.bool_)
+    return consistent(A, b, problem.base.matrix, problem.given, is_signed)

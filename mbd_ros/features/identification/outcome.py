@@ -1,0 +1,174 @@
+"""What an identification found: tables, lines and the scene."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.state import Array
+from mbd_ros.features.identification.base_parameters import parameter_name
+from mbd_ros.features.identification.bodies import inertias_of_links
+from mbd_ros.features.identification.coupled_motors import also_of
+from mbd_ros.features.identification.identified_scene import friction_entries, identified_scene
+from mbd_ros.features.identification.physical_consistency import Consistent, prior_deviation
+from mbd_ros.features.identification.problem import Problem
+from mbd_ros.features.identification.regression import Learned
+from mbd_ros.features.identification.task import Identified
+from mbd_ros.features.identification.validation import Tested, tested
+from mbd_ros.files.table import Column, Table
+from mbd_ros.jobs.lines import Say
+from mbd_ros.scene.built_scene import Scene
+
+_SHOWN = 0.5  # of what the given bodies leave open: data that say more show a parameter
+
+
+def outcome(
+    scene: Scene, problem: Problem, found: Learned, fitted: Consistent, say: Say
+) -> Identified:
+    """What was found, as values.
+
+    Args:
+        scene: The scene as it was given.
+        problem: The rows.
+        found: Least squares.
+        fitted: The nearest bodies.
+        say: Is told what matters.
+    """
+    fit, entries = found.fit, _friction(problem, found, fitted)
+    inertias, remarks = inertias_of_links(problem.scene.robot, problem.bodies, fitted.inertial)
+    new = identified_scene(problem.scene, inertias, entries)
+    test = tested(scene, new, problem, found)
+    base = _base_table(problem, found, fitted)
+    tables = {
+        "base_parameters": base,
+        "bodies": _bodies_table(problem, fitted),
+        "friction": _friction_table(entries),
+        "drives": _drives_table(problem, test.feedback),
+        "validation": test.table,
+    }
+    r = len(fit.base)
+    for text in (*remarks, *_lines(problem, found, fitted, test), *_shown(base)):
+        say(text)
+    covariance = found.covariance[:r, :r]
+    about = found.delay, problem.band, fit.condition, test.errors
+    return Identified(new, tables, inertias, covariance, *about, [], test.residuals)
+
+
+def _friction(problem: Problem, found: Learned, fitted: Consistent) -> list[dict[str, object]]:
+    """Entries of the friction of all joints."""
+    chosen = [[problem.columns[i][k] for k in own] for i, own in enumerate(found.fit.taken)]
+    ends = np.cumsum([0, *map(len, chosen)])
+    values = [fitted.friction[a:b].tolist() for a, b in pairwise(ends)]
+    return friction_entries(problem.labels, chosen, values, also_of(problem))
+
+
+def _lines(problem: Problem, found: Learned, fitted: Consistent, test: Tested) -> list[str]:
+    """Summary for people."""
+    r, band, errors = len(found.fit.base), problem.band, test.errors
+    looked = "all that was measured" if band is None else f"up to {band:.3g} Hz"
+    lines = [
+        f"{r} base parameters, condition number {found.fit.condition:.3g}, {looked}",
+    ]
+    if (problem.joints < 0).any():
+        mass = sum(float(numbers[0]) for numbers in fitted.inertial)
+        lines.append(f"total mass {mass:.6g} kg, given {problem.given[:, 0].sum():.6g} kg")
+    if errors:
+        shares = {key: 100.0 * value for key, value in errors.items()}
+        lines.append(
+            "not learned from: identified {identified:.2f} % of the torque, given "
+            "{given:.2f} %; as measured, with its noise {identified as measured:.2f} % and "
+            "{given as measured:.2f} %".format(**shares)
+        )
+        if (test.feedback[0] > 0.0).any():
+            lines.append(_answer(problem, test, shares))
+    if "least squares" in errors:
+        price = 100.0 * (errors["identified"] - errors["least squares"])
+        lines.append(f"price of bodies that can exist: {price:+.2f} % beside least squares")
+    return lines
+
+
+def _answer(problem: Problem, test: Tested, shares: dict[str, float]) -> str:
+    """Says which drives answer to noise, and what it would be without."""
+    pairs = zip(problem.labels, test.feedback[0], strict=True)
+    gains = ", ".join(f"{name} {gain:.3g}" for name, gain in pairs if gain > 0.0)
+    plain = "{identified without feedback:.2f} % and {given without feedback:.2f} %"
+    return (
+        f"drives answer to noise of the measured velocity by {gains} N·m·s/rad, which is taken "
+        f"out of the efforts as measured; with it {plain.format(**shares)}"
+    )
+
+
+def _shown(base: Table) -> list[str]:
+    """Names of the base parameters that the data tell, where they do not tell all."""
+    is_shown = base["is_shown"] > 0.0
+    if is_shown.all():
+        return []
+    names = [str(name) for name, shown in zip(base["name"], is_shown, strict=True) if not shown]
+    return [
+        f"{int(is_shown.sum())} of {base.rows} base parameters are told better than by the given "
+        f"bodies; not {', '.join(names)}"
+    ]
+
+
+def _base_table(problem: Problem, found: Learned, fitted: Consistent) -> Table:
+    """A base parameter a row: given, by least squares with its deviation, of the bodies."""
+    r, base = len(found.fit.base), problem.base
+    names = [body.name for body in problem.bodies]
+    sigma = np.sqrt(np.maximum(np.diag(found.covariance)[:r], 0.0))
+    is_shown = sigma < _SHOWN * prior_deviation(base.matrix, problem.given)
+    return Table(
+        [
+            Column("name", np.array([parameter_name(int(i), names) for i in base.chosen])),
+            Column("expression", np.array(problem.texts)),
+            Column("given", base.values(problem.given.ravel())),
+            Column("estimate", found.fit.base),
+            Column("deviation", sigma),
+            Column("is_shown", is_shown.astype(np.float64)),
+            Column("consistent", base.values(fitted.inertial.ravel())),
+        ]
+    )
+
+
+def _bodies_table(problem: Problem, fitted: Consistent) -> Table:
+    """A body a row: its ten numbers about its mass centre, in the axes of its joint."""
+    found = [pin.Inertia.FromDynamicParameters(p) for p in fitted.inertial]
+    given = [problem.scene.robot.model.inertias[body.joint] for body in problem.bodies]
+    columns = [
+        Column("body", np.array([body.name for body in problem.bodies])),
+        Column("links", np.array([" ".join(body.links) for body in problem.bodies])),
+        Column("mass", np.array([one.mass for one in found]), "kg"),
+        Column("mass_given", np.array([one.mass for one in given]), "kg"),
+    ]
+    for k, axis in enumerate("xyz"):
+        columns.append(Column(f"c{axis}", np.array([one.lever[k] for one in found]), "m"))
+    for i in range(3):
+        for j in range(i, 3):
+            values = np.array([one.inertia[i, j] for one in found])
+            columns.append(Column(f"I{'xyz'[i]}{'xyz'[j]}", values, "kg·m^2"))
+    columns.append(Column("deviation", fitted.deviation))
+    return Table(columns)
+
+
+def _drives_table(problem: Problem, feedback: tuple[Array, Array]) -> Table:
+    """A joint a row: torque for a unit of effort, what the drive answers to noise."""
+    unit = "N·m·s/rad or N·s/m"
+    columns = [Column("joint", np.array(list(problem.labels), dtype=np.str_))]
+    gains = [problem.gains.get(name, 1.0) for name in problem.labels]
+    scatter = problem.gain_deviation if len(problem.gain_deviation) else np.zeros(len(gains))
+    columns += [Column("gain", np.array(gains)), Column("gain_deviation", scatter)]
+    columns.append(Column("feedback", feedback[0], unit))
+    columns.append(Column("feedback_deviation", feedback[1], unit))
+    return Table(columns)
+
+
+def _friction_table(entries: Sequence[dict[str, object]]) -> Table:
+    """A joint a row."""
+    keys = ("viscous", "coulomb", "load", "stribeck", "stribeck_velocity", "offset")
+    keys += ("rotor_inertia", "smoothing")
+    columns = [
+        Column("joint", np.array([str(entry["joint"]) for entry in entries], dtype=np.str_))
+    ]
+    for key in keys:
+        columns.append(Column(key, np.array([float(entry.get(key, 0.0)) for entry in entries])))  # type: ignore[arg-type]
+    return Table(columns)

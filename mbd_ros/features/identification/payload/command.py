@@ -1,0 +1,68 @@
+"""Words of `mbd-ros payload`."""
+
+import argparse
+
+from mbd_ros.errors import OK
+from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.lines import say
+from mbd_ros.scene.schema.locate import path_word
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The words that `payload` understands."""
+    add_scene(parser)
+    parser.add_argument("motion", type=path_word, help="table or bag with positions and efforts")
+    parser.add_argument(
+        "--without",
+        type=path_word,
+        help="recording of the robot with nothing in its hand, from which it is identified first "
+        "(default: the scene is right)",
+    )
+    parser.add_argument("--frame", help="link that carries it (default: the last one)")
+    parser.add_argument("--wrenches", type=path_word, help="table of the loads in the scene")
+    parser.add_argument(
+        "--topic",
+        default="/joint_states",
+        help="JointState topic of bags (default: %(default)s)",
+    )
+    parser.add_argument(
+        "--derivatives",
+        choices=("given", "zero-phase"),
+        help="where velocities and accelerations come from (default: given where a motion has "
+        "accelerations, else zero-phase)",
+    )
+    parser.add_argument("--band", type=float, help="end of the band that is looked at in Hz")
+    parser.add_argument(
+        "--gain",
+        nargs="+",
+        default=(),
+        metavar="JOINT=VALUE",
+        help="torque for a unit of effort",
+    )
+    parser.add_argument(
+        "--partial", action="store_true", help="go on with a motion that does not show all numbers"
+    )
+    parser.add_argument(
+        "-o", "--out", type=path_word, help="table of the result, as .csv, .npz or .parquet"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the words say; the exit code."""
+    from mbd_ros.features.identification.command import gains_of
+    from mbd_ros.features.identification.payload.job import payload
+    from mbd_ros.files.replacing import check_place, refuse_overwriting
+    from mbd_ros.scene.reader import load_scene
+
+    if arguments.out is not None:
+        refuse_overwriting(arguments.out, arguments.motion, arguments.without, arguments.wrenches)
+        check_place(arguments.out)
+    names = ("frame", "without", "wrenches", "topic", "derivatives", "band", "partial")
+    options = {name: getattr(arguments, name) for name in names}
+    gains = gains_of(arguments.gain)
+    scene = load_scene(arguments.scene)
+    found = payload(scene, arguments.motion, **options, gains=gains, say=say, progress=True)
+    if arguments.out is not None:
+        found.table().to(arguments.out)
+        say(f"-> {arguments.out}")
+    return OK

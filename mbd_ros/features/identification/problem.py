@@ -1,0 +1,248 @@
+"""The rows of an identification: which there are, and what is known of them."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cached_property
+
+import numpy as np
+
+from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
+from mbd_ros.core.model.inertial_parameters import (
+    COUNT,
+    inertia_of,
+    moving_bodies,
+    parameters_of,
+)
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError, ModelError
+from mbd_ros.features.identification.band import Filter, band_of, grid_step
+from mbd_ros.features.identification.base_parameters import base_parameters, expressions
+from mbd_ros.features.identification.bodies import known_numbers
+from mbd_ros.features.identification.friction import OF_SEVERAL, TERMS, Column, candidates
+from mbd_ros.features.identification.loop_regressor import LoopRegressor
+from mbd_ros.features.identification.motors import Motors
+from mbd_ros.features.identification.passive import driven_joints, passive_joints
+from mbd_ros.features.identification.recordings import gained, recordings
+from mbd_ros.features.identification.regressor import Regressor, random_states
+from mbd_ros.features.identification.rows import Block, RowMaker
+from mbd_ros.features.identification.samples import (
+    Piece,
+    Recorded,
+    asked_cutoffs,
+    check_efforts,
+    pieces,
+    split,
+)
+from mbd_ros.features.identification.task import Task
+from mbd_ros.jobs.lines import Say
+from mbd_ros.scene.built_scene import Scene
+
+_STATES = 1000  # random ones that tell which base parameters there are
+_KEPT = 3.0e7  # numbers in blocks that are kept; more are made again when asked for
+
+
+class Problem:
+    """Rows of a scene and its recordings.
+
+    Args:
+        scene: The scene, without friction.
+        task: What is asked for.
+        say: Is told what is left out.
+
+    Attributes:
+        scene: The scene.
+        task: The task.
+        where: Names of the recordings.
+        learned: What is learned from.
+        left: What is left for the test.
+        band: End of the band [Hz]; None for all that was measured.
+        bodies: Bodies that move.
+        given: Their inertial numbers in the description, shape (bodies, 10).
+        base: What states can show.
+        texts: Expressions of the base parameters.
+        labels: Names of the rows.
+        rows: Their places in the regressor.
+        joints: Their places among the independent joints, -1 without an effort.
+        columns: Candidates of friction of each row.
+        motors: Of the rows; one a joint until `couple` says otherwise.
+        pieces: Of it, in the band.
+        gains: Joint -> torque for a unit of its effort, where that is not 1.
+        gain_deviation: Of each row, where gains were estimated.
+        seconds: Time that is learned from.
+        step: Usual step of the samples [s].
+        correlation: Of white noise behind the filter, 1 first, shape (k,).
+    """
+
+    def __init__(self, scene: Scene, task: Task, say: Say) -> None:
+        self.scene, self.task, self.gains = scene, task, dict(task.gains)
+        self.gain_deviation = np.zeros(0)
+        parts = [split(recorded, task.learned) for recorded in recordings(scene, task, say)]
+        self.learned = [first for first, _ in parts]
+        self.left = [rest for _, rest in parts if rest is not None]
+        self.where = ", ".join(one.where for one in self.learned)
+        self.seconds = float(sum(one.times[-1] for one in self.learned))
+        self.regressor = regressor_of(scene, self.learned)
+        self.bodies = moving_bodies(scene.robot)
+        self.given = parameters_of(scene.robot.model)
+        self._choose_rows(say)
+        self._known = known_numbers(self.bodies, self.given, task.known)
+        rows = self.regressor.rows(*self._states())[:, self.rows].reshape(-1, self.given.size)
+        rows[:, np.repeat(self._known.reshape(self.given.shape).any(axis=1), COUNT)] = 0.0
+        self.base = base_parameters(rows)
+        self.texts = expressions(self.base, [body.name for body in self.bodies])
+        self._filter()
+
+    def _states(self) -> tuple[Array, Array, Array]:
+        """States that tell which base parameters there are; in loops near those recorded."""
+        y, v, a = random_states(self.scene.robot, self.scene.couplings, _STATES)
+        if not self.scene.has_loops:
+            return y, v, a
+        seen = np.concatenate([p.y for one in self.learned for p in pieces(self.scene, one, None)])
+        at = np.linspace(0, len(seen) - 1, _STATES // 4).astype(np.intp)
+        return seen[at], v[: len(at)], a[: len(at)]
+
+    def blocks(self, delays: Array) -> Iterator[Block]:
+        """Rows of what is learned from, for efforts with delays [s]."""
+        key = tuple((delays + self._shift).tolist())
+        if key in self._kept:
+            yield from self._kept[key]
+            return
+        kept: list[Block] | None = []
+        for piece in self.pieces:
+            for block in self.maker.blocks(piece, self.band, delays + self._shift):
+                yield block
+                if kept is not None:
+                    kept.append(block)
+                    if sum(b.X.size + b.Y.size + sum(f.size for f in b.F) for b in kept) > _KEPT:
+                        kept = None
+        if kept == []:
+            raise DataError(
+                f"{self.where}: {self.seconds:.3g} s to learn from are too short: no window of "
+                f"the filter, which ends at {self.band:.3g} Hz, is without a gap"
+            )
+        if kept is not None and len(delays) == 1:
+            self._kept = {key: kept}
+
+    def shift(self, delay: float) -> None:
+        """Efforts come later than the motion by a known time [s]."""
+        self._shift = delay
+
+    def gain(self, gains: Mapping[str, float]) -> None:
+        """From now on efforts of joints are torques over these gains."""
+        names = self.scene.couplings.independent
+        self.gains |= gains
+        self.pieces = list(gained(self.pieces, names, gains))
+        self._kept = {}
+
+    def only(self, body: int) -> None:
+        """From now on all bodies are known, and another one is fixed to one of them.
+
+        Args:
+            body: Its place among `bodies`.
+        """
+        rows = self.regressor.rows(*self._states())[:, self.rows].reshape(-1, self.given.size)
+        others = np.delete(np.arange(self.given.size), COUNT * body + np.arange(COUNT))
+        rows[:, others] = 0.0
+        self.base = base_parameters(rows)
+        self.texts = expressions(self.base, [one.name for one in self.bodies])
+        self.maker.base, self.maker.carried = self.base, self.given.ravel()
+        self._kept = {}
+
+    def carry(self, inertial: Array) -> None:
+        """From now on friction that grows with the load sees that of these bodies."""
+        model = self.scene.robot.model.copy()
+        for body, numbers in zip(self.bodies, inertial, strict=True):
+            model.inertias[body.joint] = inertia_of(numbers)
+        self.regressor.carry(model)
+        self._kept = {}
+
+    def _choose_rows(self, say: Say) -> None:
+        """Rows of joints with efforts, and of what nothing drives where wrenches are measured."""
+        scene, task, labels = self.scene, self.task, self.regressor.labels
+        independent = scene.couplings.independent
+        passive = passive_joints(scene, task.passive, self.learned, say)
+        are_measured = any(one.motion.effort is not None for one in self.learned)
+        is_free = (bool(passive) or scene.robot.floating) and not are_measured
+        if not scene.has_loops:
+            check_efforts(scene, self.learned, independent if is_free else passive)
+        at = IndependentCoordinates(scene.robot, scene.couplings).joint_w
+        joint_of = {int(w): i for i, w in enumerate(at)}
+        rows = []
+        for row in range(len(labels)):
+            i = joint_of.get(int(self.regressor.coordinates[row]), -1)
+            if i < 0 or independent[i] in passive:
+                rows.append((row, -1))
+            elif are_measured:
+                rows.append((row, i))
+        if not rows:
+            raise DataError(f"{self.where}: no effort of any joint, and no part without a motor")
+        self.rows = np.array([row for row, _ in rows], dtype=np.intp)
+        self.joints = np.array([i for _, i in rows], dtype=np.intp)
+        self.labels = tuple(labels[row] for row in self.rows)
+
+    def _filter(self) -> None:
+        """Choose the band, and prepare the pieces and the candidates of friction."""
+        task = self.task
+        self.band = task.band
+        if self.band is None:
+            bands = [band for one in self.learned for band in self._bands(one)]
+            self.band = max(bands)
+        self.pieces = list(self._pieces_of(self.learned, self.band))
+        self.correlation = np.ones(1)
+        self.step = max(float(np.median(np.diff(p.times))) for p in self.pieces)
+        if self.band is not None:
+            rate = 1.0 / self.step
+            self.correlation = Filter.of(rate / grid_step(rate, self.band), self.band).correlation
+        self.couple(Motors.of_joints(len(self.rows)))
+
+    def couple(self, motors: Motors) -> None:
+        """From now on rows are those of motors, whose friction is looked for."""
+        at = self.regressor.coordinates[self.rows]
+        v = motors.speeds(np.concatenate([piece.v for piece in self.pieces])[:, at])
+        usual, peak = np.sqrt(np.mean(np.square(v), axis=0)), np.abs(v).max(axis=0)
+        terms = [TERMS if alone else OF_SEVERAL for alone in motors.alone]
+        self.columns: list[tuple[Column, ...]] = [
+            tuple(c for c in candidates(float(u)) if c.term in own) if i >= 0 and u > 0.0 else ()
+            for u, i, own in zip(usual, self.joints, terms, strict=True)
+        ]
+        chosen = self.rows, self.columns, self.joints, peak, motors
+        self.maker, self.motors = RowMaker(self.regressor, self.base, *chosen), motors
+        self.maker.carried = self._known if self._known.any() else None
+        self._shift, self._kept = 0.0, dict[tuple[float, ...], list[Block]]()
+
+    def _bands(self, one: Recorded) -> Iterator[float]:
+        """Of the pieces of a recording."""
+        for piece in pieces(self.scene, one, None):
+            yield band_of(piece.times, piece.v[:, self.regressor.coordinates[self.rows]])
+
+    def tested(self) -> Iterator[Piece]:
+        """Pieces of what is left for the test, in the band."""
+        return self._pieces_of(self.left, self.band)
+
+    def recorded(self, some: Iterable[Recorded]) -> list[Piece]:
+        """Pieces of recordings with the low-pass of motions that what is learned from asks for."""
+        return list(self._pieces_of(some, self._cutoff))
+
+    @cached_property
+    def _cutoff(self) -> float | None:
+        """The highest that any joint asks for, at most the band [Hz]; None without a band."""
+        if self.band is None:
+            return None
+        asked = np.concatenate([asked_cutoffs(self.scene, one) for one in self.learned])
+        return float(min(asked[np.isfinite(asked)].max(initial=0.0), self.band)) or self.band
+
+    def _pieces_of(self, some: Iterable[Recorded], band: float | None) -> Iterator[Piece]:
+        for one in some:
+            found = pieces(self.scene, one, band)
+            yield from gained(found, self.scene.couplings.independent, self.gains)
+
+
+def regressor_of(scene: Scene, recorded: Sequence[Recorded]) -> Regressor | LoopRegressor:
+    """The regressor of a scene, with or without loops; efforts tell which joints drive loops."""
+    solver = scene.inverse_dynamics()
+    if isinstance(solver, InverseDynamics):
+        return Regressor(scene.robot, solver)
+    try:
+        return LoopRegressor(scene.robot, solver, scene.initial, driven_joints(scene, recorded))
+    except ModelError as error:
+        raise DataError(f"{scene.name}: {error}") from error

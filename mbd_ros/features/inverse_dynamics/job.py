@@ -1,0 +1,176 @@
+"""Inverse dynamics of a recorded motion: `mbd-ros inverse`."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mbd_ros.features.inverse_dynamics.commands import commands_of
+from mbd_ros.features.inverse_dynamics.outcome import about_result, check_finite
+from mbd_ros.files.formats import is_bag
+from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.table import MAIN, Result, Table
+from mbd_ros.files.times import time_columns
+from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.motion import closed_chains as loops
+from mbd_ros.motion import open_chains
+from mbd_ros.motion.derivatives import Derivatives
+from mbd_ros.motion.explained_motion import power_columns
+from mbd_ros.motion.inverse_solution import solve_motion
+from mbd_ros.motion.open_chains import Violations
+from mbd_ros.motion.recordings import Source, name_of
+from mbd_ros.motion.samples import Task
+from mbd_ros.scene.built_scene import Scene
+
+if TYPE_CHECKING:
+    from mbd_ros.motion.unmeasured_contacts import StanceTask
+
+
+def inverse(
+    scene: Scene,
+    motion: Source,
+    *,
+    derivatives: str = "given",
+    cutoff: float | None = None,
+    half_width: int | None = None,
+    wrenches: Source | None = None,
+    external: str | Path | None = None,
+    time_range: tuple[float, float] | None = None,
+    wrench_axes: str | None = None,
+    topic: str = "/joint_states",
+    parts: bool = False,
+    bounds: bool = False,
+    power: bool = False,
+    stance: str | None = None,
+    stance_gap: float | None = None,
+    stance_speed: float | None = None,
+    say: Say | None = None,
+    progress: Watch = False,
+) -> Result:
+    """Torques and coupling forces of a motion.
+
+    Args:
+        scene: The scene.
+        motion: Result, file or bag with the positions of its joints.
+        derivatives: given, causal, zero-phase or opensim.
+        cutoff: Half-power frequency of the filters [Hz]; None: as `Derivatives` says.
+        half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
+        wrenches: Result, file or bag of the external loads; a bag motion carries its own.
+        external: External loads of OpenSim (.xml), in place of those of the scene.
+        time_range: First and last time that is solved [s]; derivatives come from the whole motion.
+        wrench_axes: Recorded axis of `wrenches` along each axis of the scene, as `x,z,-y`, or
+            `screen` where a .c3d says them.
+        topic: JointState topic of a bag.
+        parts: Also give the torque components (gravity, coriolis, inertial, external).
+        bounds: Efforts keep the limits of their actuators; stops, dry friction and limited
+            drives are unknowns that keep their law, not parts of the efforts.
+        power: Also give the powers of joints, parts and segments, their sums and their balance.
+        stance: `minimum-norm` or `smooth`: forces of contacts that nobody measured are unknowns,
+            and this decides where the motion does not; None takes 0 for them.
+        stance_gap: Largest gap of what is on the ground, as a multiple of the size L [-].
+        stance_speed: Largest speed of it along the normal, as a multiple of sqrt(g L) [-].
+        say: Is called with each line for people; without it the lines are
+            `metadata["remarks"]`.
+        progress: True for a line on a terminal, or a function of a label and a share.
+
+    Returns:
+        Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
+        perhaps `.<cause>`, `<joint>.multiplier`, `<part>.<quantity>`, perhaps `<joint>.command`;
+        the independent joints, in a scene with loops all of them. Of free bodies
+        `<body>.position.x` and so on, and `<body>.residual.force_x`: what nothing carries.
+
+    Raises:
+        DataError: Something cannot be read or does not fit the scene.
+        SolveError: A mechanism with loops cannot be assembled, or its actuators cannot produce
+            the motion.
+    """
+    chosen = Derivatives(derivatives, cutoff, half_width)
+    remarks: list[str] = []
+    asked = stance_of(stance, stance_gap, stance_speed)
+    with watching(progress):
+        loads = None if external is None else Path(external)
+        task = Task(
+            *(motion, chosen, wrenches, topic, parts, bounds, loads, time_range, power, asked),
+            wrench_axes,
+        )
+        result = run_inverse(scene, task, say or remarks.append)
+    if say is None:
+        result.metadata["remarks"] = remarks
+    return result
+
+
+def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
+    """Read a motion, write its torques.
+
+    Args:
+        scene: The scene.
+        task: What is asked for.
+        out: Its suffix chooses the format.
+        say: Is told what was done and left out, a line each.
+
+    Raises:
+        MbdError: As `inverse`, or a place that cannot be written to.
+    """
+    sources = [s for s in (task.motion, task.wrenches, task.external) if isinstance(s, Path)]
+    refuse_overwriting(out, *sources)
+    check_place(out)
+    rows, source = _in_pieces(scene, task, out, say), task.derivatives.source
+    if rows is None:
+        result = run_inverse(scene, task, say)
+        result.to(out)
+        rows, source = result[MAIN].rows, result.metadata["inputs"]["derivatives"]
+    say(f"{rows} samples, {source} derivatives -> {out}")
+
+
+def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
+    """Number of samples written from bag to bag; None where that takes the whole motion."""
+    if not (isinstance(task.motion, Path) and is_bag(task.motion) and is_bag(out)):
+        return None
+    if (task.external, task.time_range, task.wrench_axes) != (None, None, None):
+        return None
+    from mbd_ros.features.inverse_dynamics.streamed import stream  # loads rosbags
+
+    return stream(scene, task, task.motion, out, say)
+
+
+def stance_of(method: str | None, gap: float | None, speed: float | None) -> "StanceTask | None":
+    """What is asked of feet on the ground; None for nothing.
+
+    Raises:
+        DataError: Names the option and what is accepted.
+    """
+    if method is gap is speed is None:
+        return None
+    from mbd_ros.motion.unmeasured_contacts import stance_task  # only where something touches
+
+    return stance_task(method, gap, speed)
+
+
+def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
+    """See `inverse`."""
+    where, solved = name_of(task.motion), solve_motion(scene, task, say)
+    scene, observed, ground = solved.scene, solved.observed, solved.ground
+    columns, remarks, explained = solved.way
+    if task.power:
+        powers, text = power_columns(scene, explained, solved.wrenches, solved.contacts)
+        columns, remarks = [*columns, *powers], [*remarks, text]
+    table = Table([*time_columns(observed.samples.stamps), *columns])
+    check_finite(where, table)
+    with about(where), np.errstate(over="ignore", invalid="ignore"):
+        commands, beyond = commands_of(scene, table)
+    table = Table([*table.columns, *commands])
+    violations = Violations(scene)
+    violations.add(observed.samples)
+    for text in (*violations.lines(), *remarks, *beyond):
+        say(text)
+    if observed.cutoff is not None:
+        from mbd_ros.features.inverse_dynamics.unexplained import unexplained  # loads scipy
+
+        for text in unexplained(observed.motion, table, observed.cutoff):
+            say(text)
+    done = task._replace(derivatives=observed.derivatives)
+    contacts = () if ground is None else ground.contacts
+    topics = loops.topics(scene, contacts) if solved.has_loops else open_chains.topics(scene)
+    return Result({MAIN: table}, about_result(scene, done, topics))

@@ -1,0 +1,173 @@
+"""Input of CalculiX and Abaqus: a static step for every instant.
+
+Forces of joints, contacts and muscles act on reference nodes; gravity and the acceleration of the
+origin as GRAV, the angular velocity as CENTRIF, the angular acceleration as forces on nodes, for
+which there is no key word. Source: G. Dhondt, CalculiX CrunchiX USER'S MANUAL version 2.20,
+sections *CLOAD, *COUPLING, *DISTRIBUTING, *DLOAD, *RIGID BODY.
+"""
+
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.errors import DataError
+from mbd_ros.features.loads.fem.attachments import Attachment
+from mbd_ros.features.loads.fem.elements import KINDS
+from mbd_ros.features.loads.fem.model import Body, Step
+
+_A_LINE = 16  # entries of a line
+SOLID, _SPUN = "SOLID", "SPUN"
+OUTPUT = "*NODE FILE", "U,RF", "*EL FILE", "S", "*NODE PRINT,NSET=SUPPORT", "RF"
+
+
+def lines_of(body: Body, steps: Sequence[Step]) -> Iterator[str]:
+    """The lines of an input file."""
+    yield from model_lines(body)
+    for i in range(len(steps)):  # CalculiX keeps the axis that CENTRIF first had for a set
+        yield f"*ELSET,ELSET={_SPUN}_{i}"
+        yield SOLID
+    references = references_of(body)
+    for i, step in enumerate(steps):
+        yield from _step(body, step, references, f"{_SPUN}_{i}")
+
+
+def model_lines(body: Body) -> Iterator[str]:
+    """The lines before the first step: mesh, material, couplings and support."""
+    units = body.units
+    yield f"** loads on {body.history.body}: N, {units.name}, {units.mass}, s, {units.stress}"
+    yield f"** axes and origin of the link {body.history.body}; held at {body.support}"
+    yield from _mesh(body)
+    yield from _material(body)
+    references = references_of(body)
+    for one in body.attachments:
+        yield from _coupling(body, one, references[one.name])
+    reference, turning = references[body.support]
+    yield "*BOUNDARY"
+    yield from (f"{node},1,3,0." for node in (reference, turning))
+    yield "*NSET,NSET=SUPPORT"
+    yield f"{reference},{turning}"
+
+
+def _mesh(body: Body) -> Iterator[str]:
+    yield "*NODE,NSET=NALL"
+    points = body.mesh.points * body.units.per_metre
+    yield from (f"{i},{_numbers(point)}" for i, point in enumerate(points, 1))
+    number = len(points)
+    for one in body.attachments:  # each with a node that moves and one that turns
+        at = _numbers(one.reference * body.units.per_metre)
+        yield from (f"{number + i},{at}" for i in (1, 2))
+        number += 2
+    element = 0
+    for name, cells in body.mesh.blocks:
+        yield f"*ELEMENT,TYPE={KINDS[name].calculix},ELSET={SOLID}"
+        for nodes in cells + 1:
+            element += 1
+            yield from _listed([element, *nodes.tolist()])
+    for one in body.attachments:
+        yield f"*NSET,NSET={_name(one)}"
+        yield from _listed((one.nodes + 1).tolist())
+
+
+def _material(body: Body) -> Iterator[str]:
+    young, poisson, density = body.material
+    L = body.units.per_metre
+    yield "*MATERIAL,NAME=MATERIAL"
+    yield "*ELASTIC"
+    yield f"{young / L**2:.12g},{poisson:.12g}"
+    yield "*DENSITY"
+    yield f"{density / L**4 if L != 1.0 else density:.12g}"
+    yield f"*SOLID SECTION,ELSET={SOLID},MATERIAL=MATERIAL"
+
+
+def references_of(body: Body) -> dict[str, tuple[int, int]]:
+    """Nodes of each attachment that move and turn; a distributing coupling has one for both."""
+    first, found = len(body.mesh.points), {}
+    for i, one in enumerate(body.attachments):
+        moving = first + 2 * i + 1
+        found[one.name] = (moving, moving + 1 if _is_rigid(body, one) else moving)
+    return found
+
+
+def _is_rigid(body: Body, one: Attachment) -> bool:
+    return body.coupling == "rigid" or one.name == body.support
+
+
+def _coupling(body: Body, one: Attachment, nodes: tuple[int, int]) -> Iterator[str]:
+    moving, turning = nodes
+    if _is_rigid(body, one):
+        yield f"*RIGID BODY,NSET={_name(one)},REF NODE={moving},ROT NODE={turning}"
+        return
+    surface = f"FACES_{_name(one)}"
+    yield f"*SURFACE,NAME={surface},TYPE=ELEMENT"
+    yield from _faces(body, one)
+    yield f"*COUPLING,REF NODE={moving},SURFACE={surface},CONSTRAINT NAME=C_{_name(one)}"
+    yield "*DISTRIBUTING"
+    yield "1,6"
+
+
+def _faces(body: Body, one: Attachment) -> Iterator[str]:
+    """Faces of the surface whose corners are all nodes of the load."""
+    counts: dict[tuple[int, ...], int] = {}
+    faces: list[tuple[int, int, tuple[int, ...]]] = []
+    chosen, element = set(one.nodes.tolist()), 0
+    for name, cells in body.mesh.blocks:
+        for nodes in cells.tolist():
+            element += 1
+            for side, corners in enumerate(KINDS[name].faces, 1):
+                key = tuple(sorted(nodes[i] for i in corners))
+                if chosen.issuperset(key):
+                    counts[key] = counts.get(key, 0) + 1
+                    faces.append((element, side, key))
+    outside = [f"{element},S{side}" for element, side, key in faces if counts[key] == 1]
+    if not outside:
+        raise DataError(
+            f"{body.mesh.name}: no face of the surface has all of its corners among the "
+            f"{len(one.nodes)} nodes of load {one.name}; take more of them, or --coupling rigid"
+        )
+    yield from outside
+
+
+def _step(
+    body: Body, step: Step, references: dict[str, tuple[int, int]], spun: str
+) -> Iterator[str]:
+    L = body.units.per_metre
+    yield f"** t = {step.time:.9g} s: {step.label}"
+    yield "*STEP"
+    yield "*STATIC"
+    yield "*CLOAD,OP=NEW"
+    for one, force, moment in zip(body.loaded, step.forces, step.moments * L, strict=True):
+        moving, turning = references[one.name]
+        first = 1 if turning != moving else 4
+        yield from (f"{moving},{i},{value:.12g}" for i, value in enumerate(force, 1))
+        yield from (f"{turning},{i},{value:.12g}" for i, value in enumerate(moment, first))
+    for node in np.flatnonzero(step.turning.any(axis=1)).tolist():
+        yield from (f"{node + 1},{i},{v:.12g}" for i, v in enumerate(step.turning[node], 1))
+    pull, spin = float(np.linalg.norm(step.gravity)), float(np.linalg.norm(step.spin))
+    yield "*DLOAD,OP=NEW"
+    if pull:
+        yield f"{SOLID},GRAV,{pull * L:.12g},{_numbers(step.gravity / pull)}"
+    if spin:
+        yield f"{spun},CENTRIF,{spin**2:.12g},0.,0.,0.,{_numbers(step.spin / spin)}"
+    yield from OUTPUT
+    yield "*END STEP"
+
+
+def _numbers(values: Any) -> str:
+    return ",".join(f"{value:.12g}" for value in values)
+
+
+def _listed(entries: Sequence[int]) -> Iterator[str]:
+    for i in range(0, len(entries), _A_LINE):
+        more = "," if i + _A_LINE < len(entries) and len(entries) > _A_LINE else ""
+        yield ",".join(map(str, entries[i : i + _A_LINE])) + more
+
+
+def _name(one: Attachment) -> str:
+    return "L_" + re.sub(r"\W", "_", one.name)
+
+
+def text_of(lines: Iterable[str]) -> bytes:
+    """The lines as a file."""
+    return ("\n".join(lines) + "\n").encode()

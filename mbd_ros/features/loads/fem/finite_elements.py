@@ -1,0 +1,148 @@
+"""Loads as boundary conditions of finite elements: which mesh, which nodes, which file."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mbd_ros.errors import DataError
+from mbd_ros.features.loads.fem.attachments import (
+    COUPLINGS,
+    Attachment,
+    attachments_of,
+    check_tied,
+)
+from mbd_ros.features.loads.fem.elements import mass_of
+from mbd_ros.features.loads.fem.mesh import Mesh, read_mesh
+from mbd_ros.features.loads.fem.model import Body, Step, check_material, check_steps, step_of
+from mbd_ros.features.loads.fem.units import Units
+from mbd_ros.features.loads.history import History
+from mbd_ros.features.loads.instants import Instant
+from mbd_ros.files.replacing import replacing
+from mbd_ros.jobs.lines import Say
+
+_NOTHING: Mapping[str, str] = {}
+
+
+class MeshTask(NamedTuple):
+    """What is asked of the mesh.
+
+    Attributes:
+        mesh: The mesh, or its file.
+        young: Young's modulus of its material [Pa, or MPa with units mm].
+        poisson: Its Poisson's ratio [-].
+        density: [kg/m^3, or t/mm^3]; None for that which gives the mesh the mass of the body.
+        pose: Of the axes of the mesh in those of the body, see `read_mesh`.
+        attach: Load -> set of nodes, or radius about its point [m, or mm].
+        radius: Of loads that `attach` does not name; None where it names all.
+        support: Load whose nodes are held; None for the first.
+        coupling: `rigid` or `distributing`.
+        amplitudes: One step over the whole motion in place of a step an instant.
+    """
+
+    mesh: Mesh | Path
+    young: float
+    poisson: float = 0.3
+    density: float | None = None
+    pose: Sequence[float] = ()
+    attach: Mapping[str, str] = _NOTHING
+    radius: float | None = None
+    support: str | None = None
+    coupling: str = "rigid"
+    amplitudes: bool = False
+
+
+def body_of(
+    history: History, instants: Sequence[Instant], task: MeshTask, units: Units
+) -> tuple[Body, list[Step], str]:
+    """The body as finite elements, its steps, and a line about how well the mesh fits.
+
+    Raises:
+        DataError: A mesh, set, material or support that cannot be used.
+    """
+    if task.coupling not in COUPLINGS:
+        raise DataError(f"--coupling {task.coupling}: accepted: {', '.join(COUPLINGS)}")
+    L = units.per_metre
+    mesh = task.mesh if isinstance(task.mesh, Mesh) else read_mesh(task.mesh, L, task.pose)
+    mass = mass_of(mesh.points, mesh.blocks)
+    density = float(history.inertia.mass) / mass.volume
+    if task.density is not None:
+        density = task.density * (L**4 if L != 1.0 else 1.0)
+    material = check_material(task.young * L**2, task.poisson, density, mesh.name)
+    attach = {name: _metres(word, L) for name, word in task.attach.items()}
+    radius = None if task.radius is None else task.radius / L
+    attachments = attachments_of(history, mesh, attach, radius)
+    support = _support(history, attachments, task.support)
+    check_tied(mesh, attachments, support)
+    rows = tuple(sorted({each.row for each in instants}))
+    labels = tuple(", ".join(i.name for i in instants if i.row == row) for row in rows)
+    body = Body(
+        *(history, mesh, mass, material, tuple(attachments), support),
+        *(task.coupling, rows, labels, units),
+    )
+    steps = [step_of(body, i) for i in range(len(rows))]
+    return body, steps, check_steps(body, steps)
+
+
+def _support(history: History, attachments: Sequence[Attachment], given: str | None) -> str:
+    """Name of the load whose nodes are held."""
+    names = [one.name for one in attachments]
+    if not names:
+        raise DataError(f"{history.body}: no load acts on it that could hold a mesh")
+    if given is not None and given not in names:
+        raise DataError(f"--support {given}: no such load; accepted: {', '.join(names)}")
+    return given or names[0]
+
+
+def write_body(
+    body: Body, steps: Sequence[Step], out: Path, say: Say, amplitudes: bool = False
+) -> None:
+    """Write the file that its suffix says: .inp, .feb, .vtu.
+
+    Args:
+        body: The body.
+        steps: Its instants.
+        out: The file.
+        say: Is told what was written.
+        amplitudes: One step over the whole motion, for .inp.
+
+    Raises:
+        DataError: What the format cannot hold, or a place that cannot be written to.
+    """
+    if amplitudes and out.suffix != ".inp":
+        raise DataError(f"{out}: --amplitudes goes with .inp; .feb has load curves by itself")
+    if out.suffix == ".vtu":
+        from mbd_ros.features.loads.fem.paraview import write_series
+
+        say(f"{write_series(body, steps, out)} files of {len(steps)} instants -> {out}")
+        return
+    from mbd_ros.features.loads.fem.calculix import text_of
+
+    with replacing(out) as file:
+        file.write(text_of(_lines(body, steps, out, amplitudes, say)))
+    steps_said = "one step with amplitudes" if amplitudes else f"{len(steps)} steps"
+    say(f"{steps_said}, {len(body.mesh.points)} nodes -> {out}")
+
+
+def _lines(body: Body, steps: Sequence[Step], out: Path, amplitudes: bool, say: Say) -> Any:
+    if out.suffix == ".inp" and not amplitudes:
+        from mbd_ros.features.loads.fem.calculix import lines_of
+
+        return lines_of(body, steps)
+    from mbd_ros.features.loads.fem.centre_field import rotation_share
+
+    share = rotation_share(body)
+    say(f"left out of {out.name}: inertia by rotation, at most {share:.2g} of the largest load")
+    if out.suffix == ".inp":
+        from mbd_ros.features.loads.fem.calculix_amplitudes import amplitude_lines
+
+        return amplitude_lines(body)
+    from mbd_ros.features.loads.fem.febio import feb_lines
+
+    return feb_lines(body, steps)
+
+
+def _metres(word: str, per_metre: float) -> str:
+    try:
+        return str(float(word) / per_metre)
+    except ValueError:
+        return word

@@ -1,0 +1,207 @@
+"""Loads on one body that is cut free from its mechanism.
+
+Reactions of joints come from the Newton-Euler recursion of the whole mechanism; between links
+that fixed joints tie they follow from what each side needs. Source: R. Featherstone, Rigid Body
+Dynamics Algorithms, 2008, sec. 2.13 to 2.15 and 5.3.
+"""
+
+from collections.abc import Collection, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.loads.body_loads import BodyLoads
+from mbd_ros.core.model.robot import WORLD, Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.vectors import cross
+from mbd_ros.errors import ModelError
+from mbd_ros.features.loads.acting_wrenches import Named
+from mbd_ros.features.loads.welded_links import RESIDUAL, Edge, TiedLinks
+
+JOINT = "joint"
+_LOCAL = pin.LOCAL
+
+
+class BodyLoad(NamedTuple):
+    """A load on the body, in its axes.
+
+    Attributes:
+        name: Of the joint or part that it comes from.
+        kind: joint, world, residual, constraint, contact, force, external wrench or muscle.
+        point: Where it acts, from the origin of the body [m], shape (3,).
+        force: [N], shape (3,).
+        moment: About `point` [N·m], shape (3,).
+    """
+
+    name: str
+    kind: str
+    point: Array
+    force: Array
+    moment: Array
+
+
+class BodyMotion(NamedTuple):
+    """How the body moves, in its axes.
+
+    Attributes:
+        gravity: Acceleration of gravity [m/s^2], shape (3,).
+        acceleration: Of the origin of the body [m/s^2], shape (3,).
+        angular_velocity: [rad/s], shape (3,).
+        angular_acceleration: [rad/s^2], shape (3,).
+    """
+
+    gravity: Array
+    acceleration: Array
+    angular_velocity: Array
+    angular_acceleration: Array
+
+
+class FreeBody:
+    """A link with all that fixed joints tie to it, cut free at its other joints.
+
+    Loads stand in the axes of the link and about points that count from its origin. The force of
+    a joint is that on this body; it includes what actuators, springs, couplings and friction of
+    the joint exert between its links.
+
+    One instance owns its Pinocchio data: not for two threads.
+
+    Args:
+        robot: The robot.
+        link: Its frame is that of the body.
+        cuts: Fixed joints at which the body ends too; joints that move need no mention.
+
+    Attributes:
+        link: As given.
+        links: The links of the body, `link` first.
+        joints: Names of the joints that it is cut at.
+        inertia: `pinocchio.Inertia` in the axes of the link.
+        k: Kinematics, refreshed to the state that `loads` is asked at by the caller.
+
+    Raises:
+        ModelError: Unknown link or joint, or a body without mass.
+    """
+
+    def __init__(self, robot: Robot, link: str, cuts: Collection[str] = ()) -> None:
+        self._robot, self._model, self.k = robot, robot.model, Kinematics(robot)
+        self._data, self._tree = pin.Data(robot.model), TiedLinks(robot)
+        frames, index = robot.model.frames, robot.frame(link)
+        if index not in self._tree.edges:
+            names = ", ".join(frames[i].name for i in self._tree.edges)
+            raise ModelError(f"no link '{link}'; the links are {names}")
+        self.link, self._frame = link, index
+        self._tree.check_cuts(cuts, self._tree.tied_to(index, ()))
+        self._links = self._tree.tied_to(index, cuts)
+        self.links = tuple(frames[i].name for i in self._links)
+        self._joint, self._at = int(frames[index].parentJoint), frames[index].placement
+        self._edges = self._tree.around(self._links)
+        self.joints = tuple(edge.name for edge in self._edges)
+        inertias = robot.inertias()
+        self._beside = {
+            i: frames[i].placement.act(inertias.get(frames[i].name, pin.Inertia.Zero()))
+            for i in self._tree.edges
+            if frames[i].parentJoint == self._joint
+        }
+        self._leaving = [
+            (edge.parent, edge.joint)
+            for edge in self._tree.edges.values()
+            if edge.joint and edge.parent in self._beside
+        ]
+        self.inertia = self._own_inertia()
+        self._loads, self._origin = BodyLoads(robot), robot.carrier("universe")
+        self._point = robot.point(link)
+        self._carrier = robot.carrier(link)
+
+    def loads(
+        self, x: State, a: Array, acting: Sequence[Named]
+    ) -> tuple[list[BodyLoad], BodyMotion]:
+        """Loads on the body and its motion.
+
+        Args:
+            x: State of all joints, which `k` was refreshed to.
+            a: Acceleration of all joints [rad/s^2 or m/s^2], shape (nv,).
+            acting: What acts on bodies of the whole mechanism.
+        """
+        self._loads.set(self.k, ())
+        for one in acting:
+            self._loads.add(self.k, one.wrench)
+        pin.rnea(self._model, self._data, x.q, x.v, a, self._loads.forces)
+        beside = [self._link(one) for one in acting]
+        needed = self._needed(acting, beside)
+        found = [self._reaction(edge, needed) for edge in self._edges]
+        mine = set(self._links)
+        found += [
+            self._seen(one) for one, link in zip(acting, beside, strict=True) if link in mine
+        ]
+        return found, self._motion(x, a)
+
+    def _own_inertia(self) -> Any:
+        total = pin.Inertia.Zero()
+        for link in self._links:
+            total = total + self._beside[link]
+        if not total.mass > 0.0:
+            names = ", ".join(self.links)
+            raise ModelError(f"body '{self.link}' has no mass (links: {names})")
+        return self._at.actInv(total)
+
+    def _link(self, one: Named) -> int:
+        return self._tree.link_of(self._robot.frame(one.wrench.frame))
+
+    def _needed(self, acting: Sequence[Named], beside: Sequence[int]) -> dict[int, Any]:
+        """What each link of the same joint needs from its fixed joints, in axes of the joint."""
+        v, a = self._data.v[self._joint], self._data.a_gf[self._joint]
+        needed = {i: Y * a + v.cross(Y * v) for i, Y in self._beside.items()}
+        for parent, joint in self._leaving:
+            needed[parent] = needed[parent] + self._data.liMi[joint].act(self._data.f[joint])
+        for one, link in zip(acting, beside, strict=True):
+            if link in needed:
+                force, torque = one.wrench.force, one.wrench.torque
+                about = torque + cross(one.wrench.point, force)
+                whole = np.concatenate((force, about))
+                carried = self.k.carried(whole, self._origin, self._carrier)
+                needed[link] = needed[link] - pin.Force(carried)
+        return needed
+
+    def _reaction(self, edge: Edge, needed: dict[int, Any]) -> BodyLoad:
+        """What a joint exerts on the body, about its origin."""
+        frames, data = self._model.frames, self._data
+        leads = edge.child in self._links
+        if edge.joint and leads:
+            whole, place = data.f[edge.joint], pin.SE3.Identity()
+        elif edge.joint:
+            place = self._model.jointPlacements[edge.joint]
+            whole = -data.liMi[edge.joint].act(data.f[edge.joint])
+        else:
+            behind, place = self._tree.behind(edge.child), frames[edge.child].placement
+            rest = needed.keys() - behind if leads and self._joint else behind
+            whole = pin.Force.Zero()
+            for link in rest:
+                whole = whole + needed[link]
+            if rest is not behind:
+                whole = data.f[self._joint] - whole
+            elif not leads:
+                whole = -whole
+        there = self._at.inverse() * place
+        point = there.translation
+        load = self._at.actInv(whole)
+        moment = load.angular - cross(point, load.linear)
+        kind = edge.name if edge.name in (WORLD, RESIDUAL) else JOINT
+        return BodyLoad(edge.name, kind, np.array(point), np.array(load.linear), moment)
+
+    def _seen(self, one: Named) -> BodyLoad:
+        R, wrench = self.k.rotation(self._point), one.wrench
+        point = (wrench.point - self.k.position(self._point)).dot(R)
+        return BodyLoad(one.name, one.kind, point, wrench.force.dot(R), wrench.torque.dot(R))
+
+    def _motion(self, x: State, a: Array) -> BodyMotion:
+        model, data, frame = self._model, self._data, self._frame
+        pin.forwardKinematics(model, data, x.q, x.v, a)
+        gravity = model.gravity.linear.dot(self.k.rotation(self._point))
+        if not self._joint:
+            return BodyMotion(gravity, np.zeros(3), np.zeros(3), np.zeros(3))
+        velocity = pin.getFrameVelocity(model, data, frame, _LOCAL)
+        push = pin.getFrameClassicalAcceleration(model, data, frame, _LOCAL)
+        return BodyMotion(
+            gravity, np.array(push.linear), np.array(velocity.angular), np.array(push.angular)
+        )

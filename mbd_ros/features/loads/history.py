@@ -1,0 +1,130 @@
+"""Loads on a body over time, a slot each that stays the same from sample to sample."""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.state import NANOSECOND, Array
+from mbd_ros.features.loads.free_body import BodyLoad, BodyMotion
+from mbd_ros.features.loads.free_body_balance import Balance, balances
+
+
+class Slot(NamedTuple):
+    """A load on the body.
+
+    Attributes:
+        name: Of the joint or part; numbered where a part acts at several points.
+        kind: As of a `BodyLoad`.
+    """
+
+    name: str
+    kind: str
+
+
+class History(NamedTuple):
+    """Loads on a body over time, in axes of its link and SI units.
+
+    Attributes:
+        body: The link.
+        links: All links of the body.
+        joints: Where it is cut.
+        inertia: `pinocchio.Inertia` in the axes of the link.
+        stamps: Times [ns], shape (n,).
+        slots: The loads.
+        point: Where they act [m], shape (n, slots, 3).
+        force: [N], shape (n, slots, 3).
+        moment: About the points [N·m], shape (n, slots, 3).
+        motion: Gravity, acceleration, angular velocity and acceleration, shape (n, 3) each.
+    """
+
+    body: str
+    links: tuple[str, ...]
+    joints: tuple[str, ...]
+    inertia: Any
+    stamps: NDArray[np.int64]
+    slots: tuple[Slot, ...]
+    point: Array
+    force: Array
+    moment: Array
+    motion: BodyMotion
+
+    def time(self, row: int) -> float:
+        """Of a sample [s]."""
+        return float(self.stamps[row] * NANOSECOND)
+
+    def motion_at(self, row: int) -> BodyMotion:
+        """Of one sample."""
+        return BodyMotion(*(values[row] for values in self.motion))
+
+    def balance(self) -> Balance:
+        """What is left of the equations of the body in every sample."""
+        return balances(self.point, self.force, self.moment, self.inertia, self.motion)
+
+
+class Arrays(NamedTuple):
+    """Loads in slots.
+
+    Attributes:
+        slots: The loads.
+        point: As of a `History`.
+        force: Likewise.
+        moment: Likewise.
+    """
+
+    slots: tuple[Slot, ...]
+    point: Array
+    force: Array
+    moment: Array
+
+
+def in_slots(samples: Sequence[Sequence[BodyLoad]]) -> Arrays:
+    """Loads of samples in slots; a path that lets go of a point exerts nothing there.
+
+    Args:
+        samples: The loads of each sample; those of a part stand in the order of its points.
+    """
+    parts = [_by_part(loads) for loads in samples]
+    whole: dict[tuple[str, str], list[BodyLoad]] = {}
+    for part in parts:
+        for key, loads in part.items():
+            if len(loads) > len(whole.get(key, ())):
+                whole[key] = loads
+    ends = list(itertools.accumulate(map(len, whole.values()), initial=0))
+    begin = dict(zip(whole, ends[:-1], strict=True))
+    slots = tuple(
+        Slot(f"{name}_{i + 1}" if len(loads) > 1 else name, kind)
+        for (name, kind), loads in whole.items()
+        for i in range(len(loads))
+    )
+    at = np.array([load.point for loads in whole.values() for load in loads]).reshape(-1, 3)
+    point = np.tile(at, (len(samples), 1, 1))
+    force, moment = np.zeros((2, *point.shape))
+    for row, part in enumerate(parts):
+        for key, loads in part.items():
+            for place, load in zip(_places(loads, whole[key]), loads, strict=True):
+                slot = begin[key] + place
+                point[row, slot], force[row, slot], moment[row, slot] = load[2:]
+    return Arrays(slots, point, force, moment)
+
+
+def _by_part(loads: Sequence[BodyLoad]) -> dict[tuple[str, str], list[BodyLoad]]:
+    parts: dict[tuple[str, str], list[BodyLoad]] = {}
+    for load in loads:
+        parts.setdefault((load.name, load.kind), []).append(load)
+    return parts
+
+
+def _places(loads: Sequence[BodyLoad], whole: Sequence[BodyLoad]) -> Sequence[int]:
+    """Which of all points of a part those of a sample are: the nearest ones, in their order."""
+    if len(loads) == len(whole):
+        return range(len(loads))
+    return min(
+        itertools.combinations(range(len(whole)), len(loads)),
+        key=lambda places: sum(
+            float(np.linalg.norm(load.point - whole[i].point))
+            for i, load in zip(places, loads, strict=True)
+        ),
+    )

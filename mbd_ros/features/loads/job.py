@@ -1,0 +1,211 @@
+"""Loads on a body that is cut free: `mbd-ros loads`."""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import DataError, ModelError, SceneError, SolveError
+from mbd_ros.features.inverse_dynamics.job import stance_of
+from mbd_ros.features.loads.acting_wrenches import CONTACT, ActingWrenches, Named
+from mbd_ros.features.loads.columns import about_body, tables_of
+from mbd_ros.features.loads.fem.units import units_of
+from mbd_ros.features.loads.free_body import BodyLoad, BodyMotion, FreeBody
+from mbd_ros.features.loads.history import History, in_slots
+from mbd_ros.features.loads.instants import Instant, instants_of
+from mbd_ros.features.loads.tensions import commanded_paths, tensions_at
+from mbd_ros.files.table import Result
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Watch, progress, watching
+from mbd_ros.motion.derivatives import Derivatives
+from mbd_ros.motion.inverse_solution import Solved, solve_motion
+from mbd_ros.motion.recordings import Source, name_of
+from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.samples import Task
+from mbd_ros.scene.built_scene import Scene
+
+if TYPE_CHECKING:
+    from mbd_ros.features.loads.fem.finite_elements import MeshTask
+
+_OFF = 1.0e-9  # share of the largest load that rounding leaves
+
+
+class LoadsTask(NamedTuple):
+    """What is asked for.
+
+    Attributes:
+        motion: As inverse dynamics takes it.
+        body: Link whose loads are wanted.
+        joints: Fixed joints at which the body ends.
+        muscle_forces: Table of tensions; None for those of the motion.
+        at: Chosen instants [s].
+        units: m or mm, see `units`.
+        mesh: What takes the loads, for .inp, .feb and .vtu.
+    """
+
+    motion: Task
+    body: str
+    joints: Sequence[str] = ()
+    muscle_forces: Source | None = None
+    at: Sequence[float] = ()
+    units: str = "m"
+    mesh: "MeshTask | None" = None
+
+
+def loads(
+    scene: Scene,
+    motion: Source,
+    *,
+    body: str,
+    joints: Sequence[str] = (),
+    muscle_forces: Source | None = None,
+    at: Sequence[float] = (),
+    units: str = "m",
+    derivatives: str = "given",
+    cutoff: float | None = None,
+    half_width: int | None = None,
+    wrenches: Source | None = None,
+    external: str | Path | None = None,
+    time_range: tuple[float, float] | None = None,
+    wrench_axes: str | None = None,
+    topic: str = "/joint_states",
+    bounds: bool = False,
+    stance: str | None = None,
+    stance_gap: float | None = None,
+    stance_speed: float | None = None,
+    say: Say | None = None,
+    progress: Watch = False,
+) -> Result:
+    """Loads on one body of a scene in a motion, in axes of its link.
+
+    Args:
+        scene: The scene.
+        motion: As for `inverse`, and so are all arguments that are not named here.
+        body: Link; what fixed joints tie to it belongs to the body.
+        joints: Fixed joints at which the body ends; those that move need no mention.
+        muscle_forces: Result or table with columns `<muscle>.force` or `.tension`; by default
+            those of the motion, where it has some.
+        at: Instants that are marked beside the peaks [s].
+        units: `m`, or `mm` for lengths in mm, moments in N·mm and masses in tonnes.
+        derivatives: As for `inverse`.
+        cutoff: As for `inverse`.
+        half_width: As for `inverse`.
+        wrenches: As for `inverse`.
+        external: As for `inverse`.
+        time_range: As for `inverse`.
+        wrench_axes: As for `inverse`.
+        topic: As for `inverse`.
+        bounds: As for `inverse`.
+        stance: As for `inverse`.
+        stance_gap: As for `inverse`.
+        stance_speed: As for `inverse`.
+        say: As for `inverse`.
+        progress: As for `inverse`.
+
+    Returns:
+        Table `samples`: `time`, `is_instant`; `<load>.force_x`, `.torque_x`, `.point_x` of joints,
+        contacts, constraints, forces, external wrenches and muscles; `gravity.acceleration_x`,
+        `<body>.linear_acceleration.x`, `.angular_velocity.x`, `.angular_acceleration.x`;
+        `weight.force_x`, `inertia.force_x`, `inertia.torque_x`; `balance.force`, `.torque`,
+        `.off`. Table `instants`: peaks and chosen times.
+
+    Raises:
+        DataError: Something cannot be read or does not fit the scene.
+        SceneError: Unknown body or joint, or a body without mass.
+        SolveError: As of `inverse`, or loads that do not balance.
+    """
+    remarks: list[str] = []
+    asked = stance_of(stance, stance_gap, stance_speed)
+    given = Derivatives(derivatives, cutoff, half_width)
+    with watching(progress):
+        file = None if external is None else Path(external)
+        more: dict[str, Any] = {"wrench_axes": wrench_axes, "stance": asked}
+        more |= {"bounds": bounds, "external": file, "time_range": time_range}
+        task = Task(motion, given, wrenches, topic, **more)
+        wanted = LoadsTask(task, body, joints, muscle_forces, at, units)
+        result = run_loads(scene, wanted, say or remarks.append)[0]
+    if say is None:
+        result.metadata["remarks"] = remarks
+    return result
+
+
+def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History, list[Instant]]:
+    """See `loads`; also the history behind the result, and its instants."""
+    units = units_of(task.units)
+    try:
+        body = FreeBody(scene.robot, task.body, task.joints)
+    except ModelError as error:
+        raise SceneError(f"{scene.name}: {error}") from error
+    solved = solve_motion(scene, task.motion, say)
+    for text in solved.way.remarks:
+        say(text)
+    history = _history(body, solved, task, say)
+    _check(history, name_of(task.motion.motion), say)
+    instants = instants_of(history, task.at)
+    inputs = {
+        "motion": task.motion.motion,
+        "derivatives": solved.observed.derivatives.source,
+        "at": list(task.at) or None,
+        "muscle_forces": task.muscle_forces,
+    }
+    about = metadata_of("loads", scene, inputs, {}) | about_body(history, units)
+    return Result(tables_of(history, instants, units), about), history, instants
+
+
+def _history(body: FreeBody, solved: Solved, task: LoadsTask, say: Say) -> History:
+    paths, stamps = commanded_paths(solved.scene), solved.observed.samples.stamps
+    tensions = tensions_at(paths, task.motion.motion, task.muscle_forces, stamps, say)
+    explained, scene = solved.way.explained, solved.scene
+    measured = {n: w for n, w in scene.wrenches.items() if n not in solved.contacts}
+    acting = ActingWrenches(explained.rows, scene.acting, measured, paths)
+    places = [i for i, name in enumerate(scene.wrenches) if name in measured]
+    samples: list[list[BodyLoad]] = []
+    motions: list[BodyMotion] = []
+    touching = list(_touching(solved))
+    for row, (x, a, exerted) in enumerate(
+        progress(explained.motions(), explained.count, "loads on the body")
+    ):
+        body.k.refresh(x.q, x.v)
+        values = [solved.wrenches[i][row] for i in places]
+        found = list(acting.at(body.k, x, exerted.multipliers, values, tensions[row].tolist()))
+        found += [named for forces, of in touching for named in of(body, x, forces[row])]
+        one, motion = body.loads(x, a, found)
+        samples.append(one)
+        motions.append(motion)
+    motion = BodyMotion(*(np.array(each) for each in zip(*motions, strict=True)))
+    about = body.link, body.links, body.joints, body.inertia, stamps
+    return History(*about, *in_slots(samples), motion)
+
+
+def _touching(solved: Solved) -> Iterator[tuple[Array, Any]]:
+    """Forces of known contacts, and what they exert on bodies."""
+    if not solved.known:
+        return
+    from mbd_ros.motion.contact_forces import forces_at  # only where something touches
+
+    def exerted(one: Any) -> Any:
+        def wrenches(body: FreeBody, x: State, forces: Array) -> list[Named]:
+            return [Named(one.name, CONTACT, w) for w in one.exert(body.k, x, forces)]
+
+        return wrenches
+
+    observed = solved.observed
+    for one in solved.known:
+        yield forces_at(one, observed.motion, observed.samples.stamps), exerted(one)
+
+
+def _check(history: History, where: str, say: Say) -> None:
+    """Refuse what is not finite or not balanced, and say how well it is."""
+    values = (history.force, history.moment, history.point, *history.motion)
+    if not all(np.isfinite(each).all() for each in values):
+        raise DataError(f"{where}: loads on {history.body} are not finite")
+    off = history.balance().off
+    row = int(off.argmax())
+    text = f"balance of {history.body}: off by at most {off[row]:.2g} of the largest load"
+    if off[row] > _OFF:
+        raise SolveError(f"{where}: {text}, at {history.time(row):.9g} s; accepted: {_OFF:g}")
+    links, cut = ", ".join(history.links), ", ".join(history.joints)
+    say(f"{history.body} ({links}), {history.inertia.mass:.6g} kg, cut at {cut}")
+    say(text)

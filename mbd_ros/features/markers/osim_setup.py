@@ -1,0 +1,96 @@
+"""Set-up files of OpenSim's inverse kinematics -> a task of marker kinematics.
+
+Weights of markers and coordinates, the range of times and the file of coordinates are read; the
+model, accuracies and places of results are those of the command.
+"""
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+from mbd_ros.errors import SceneError
+from mbd_ros.features.markers.kinematics_task import CoordinateTask, KinematicsTask
+from mbd_ros.scene.models.xml_text import parse_document, read_text
+
+_TRUE, _VALUE_TYPES = "true", ("default_value", "manual_value", "from_file")
+_NO_FILE = ("", "Unassigned")
+
+
+def read_setup(path: Path) -> KinematicsTask:
+    """The tasks of a set-up.
+
+    Raises:
+        SceneError: Not well-formed, or no tasks of inverse kinematics; names file and element.
+    """
+    root = parse_document(read_text(path), str(path))
+    tasks = next(root.iter("IKTaskSet"), None)
+    if tasks is None:
+        raise SceneError(f"{path}: no <IKTaskSet>: no set-up of inverse kinematics")
+    markers = {
+        name: _number(path, task, "weight", 1.0)
+        for task in tasks.iter("IKMarkerTask")
+        if _applies(task) and (name := _name(path, task))
+    }
+    coordinates = {
+        name: _coordinate(path, task)
+        for task in tasks.iter("IKCoordinateTask")
+        if _applies(task) and (name := _name(path, task))
+    }
+    begin, end = _range(path, root)
+    motion = _text(root, "coordinate_file")
+    file = None
+    if motion not in _NO_FILE and any(task.from_motion for task in coordinates.values()):
+        file = path.parent / motion.replace("\\", "/")
+    return KinematicsTask(markers, coordinates, begin, end, motion=file, source=str(path))
+
+
+def _applies(task: ElementTree.Element) -> bool:
+    return _text(task, "apply", _TRUE).lower() == _TRUE
+
+
+def _name(path: Path, task: ElementTree.Element) -> str:
+    name = task.get("name", "").strip()
+    if not name:
+        raise SceneError(f"{path}: a <{task.tag}> without a name")
+    return name
+
+
+def _coordinate(path: Path, task: ElementTree.Element) -> CoordinateTask:
+    kind = _text(task, "value_type", _VALUE_TYPES[0])
+    if kind not in _VALUE_TYPES:
+        raise SceneError(
+            f"{path}: <{task.tag} name='{task.get('name')}'>: value_type '{kind}', accepted: "
+            f"{', '.join(_VALUE_TYPES)}"
+        )
+    value = _number(path, task, "value", 0.0) if kind == "manual_value" else None
+    return CoordinateTask(_number(path, task, "weight", 1.0), value, kind == "from_file")
+
+
+def _range(path: Path, root: ElementTree.Element) -> tuple[float | None, float | None]:
+    words = _text(root, "time_range").split()
+    if not words:
+        return None, None
+    try:
+        begin, end = (float(word) for word in words)
+    except ValueError as error:
+        raise SceneError(f"{path}: <time_range> must be two numbers: {words}") from error
+    return (None if begin == -float("inf") else begin), (None if end == float("inf") else end)
+
+
+def _number(path: Path, task: ElementTree.Element, key: str, default: float) -> float:
+    text = _text(task, key)
+    try:
+        number = float(text.split()[0]) if text else default
+    except ValueError:
+        number = -1.0 if key == "weight" else float("nan")
+    if not abs(number) < float("inf") or (key == "weight" and number < 0.0):
+        raise SceneError(
+            f"{path}: <{task.tag} name='{task.get('name')}'>: {key} '{text}' is no "
+            "number that is accepted"
+        )
+    return number
+
+
+def _text(element: ElementTree.Element, key: str, default: str = "") -> str:
+    found = next(element.iter(key), None)
+    text = (found.text or "").strip() if found is not None else ""
+    return text or default

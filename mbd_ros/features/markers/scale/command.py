@@ -1,0 +1,28 @@
+"""Words of `mbd-ros scale`."""
+
+import argparse
+
+from mbd_ros.errors import OK
+from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.lines import say
+from mbd_ros.scene.schema.locate import path_word
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The words that `scale` understands."""
+    add_scene(parser)
+    parser.add_argument("static", type=path_word, help="markers of a person who stands still")
+    parser.add_argument("task", type=path_word, help="task file with a section scale")
+    parser.add_argument(
+        "-o", "--out", type=path_word, required=True, help="folder for both files (required)"
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the words say; the exit code."""
+    from mbd_ros.features.markers.scale.job import scale_to
+    from mbd_ros.scene.reader import load_scene
+
+    scene = load_scene(arguments.scene)
+    scale_to(scene, arguments.static, arguments.task, arguments.out, say)
+    return OK

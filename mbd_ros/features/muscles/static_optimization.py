@@ -1,0 +1,252 @@
+"""Static optimisation: how muscles share the forces that a motion needs, frame by frame.
+
+    min sum w_i a_i^p + sum |e_j|^p   subject to   sum_i B_i F0_i a_i + sum_j R_j e_j = tau
+
+with F0_i the force of muscle i at full activation beside a rigid tendon, at the length and the
+speed of the frame, e_j the effort of reserve j in optimal forces and tau the force that inverse
+dynamics finds without muscles, for all coordinates that are independent. Activation and tendon
+have no dynamics here: no frame knows of another, unless rates of activation are limited.
+Source: K. R. Kaufman, K. An, W. Litchy, E. Chao, J. Biomech. 24 (1991) 781, 793.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.core.inverse_dynamics.reserves import Reserve
+from mbd_ros.core.model.couplings import Slopes
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.muscles.muscle import Muscle
+from mbd_ros.core.optimization.separable_cost import SeparableCost
+from mbd_ros.core.optimization.separable_program import Optimum, SeparableProgram
+from mbd_ros.core.state import NONE, Array
+from mbd_ros.core.thresholds import SINGULAR
+from mbd_ros.errors import SolveError
+from mbd_ros.features.muscles.muscle_frames import Frames, MuscleFrames
+from mbd_ros.features.muscles.sharing_costs import sizes_of
+from mbd_ros.features.muscles.sharing_options import NOTHING_SPECIAL, Wishes, check_wishes
+
+
+@dataclass(frozen=True)
+class Shares:
+    """One row a frame.
+
+    Attributes:
+        frames: What muscles and reserves can exert.
+        needed: Force that the motion needs of each independent coordinate without muscles
+            [N·m or N], shape (frames, nv_y).
+        activation: Shape (frames, n).
+        force: Tension of each muscle [N], shape (frames, n).
+        reserve: Force of each reserve [N·m or N], shape (frames, r).
+        lacking: What is needed and not there [N·m or N], shape (frames, nv_y).
+        objective: Value of the cost, shape (frames,).
+        residual: Largest violation of the conditions of the optimum, shape (frames,).
+        is_feasible: Whether nothing lacks, shape (frames,).
+        effects: Force of the independent coordinates by full activations and by efforts of 1
+            [N·m or N], shape (frames, nv_y, n + r).
+        movable: Muscles and reserves that other optima have otherwise, by their place in `names`;
+            none where the optimum of the frame is unique.
+    """
+
+    frames: Frames
+    needed: Array
+    activation: Array
+    force: Array
+    reserve: Array
+    lacking: Array
+    objective: Array
+    residual: Array
+    is_feasible: Array
+    effects: Array
+    movable: tuple[tuple[int, ...], ...]
+
+    @cached_property
+    def rank(self) -> Array:
+        """Independent combinations of muscles and reserves, shape (frames,)."""
+        return np.asarray(np.linalg.matrix_rank(_scaled(self.effects), tol=SINGULAR))
+
+    @property
+    def null_space(self) -> Array:
+        """Dimension of activations and efforts that together exert nothing, shape (frames,)."""
+        return np.asarray(self.effects.shape[2] - self.rank)
+
+
+class StaticOptimization:
+    """Static optimisation of muscles on an open chain, coupled or not.
+
+    A quadratic program is kept from frame to frame. One instance owns Pinocchio data: not for two
+    threads.
+
+    Args:
+        robot: The robot.
+        known: Inverse dynamics of the robot without its muscles.
+        muscles: At least one.
+        reserves: What helps them.
+        wishes: What is asked.
+        search: Finds paths that wrap in many frames, as for `PathBatch`.
+        quick: As for `MuscleFrames`.
+
+    Attributes:
+        names: Of muscles, then of reserves.
+        motion: Of all joints in the frames of the newest `solve`: positions, velocities and
+            accelerations, shape (nq, frames) and twice (nv, frames).
+
+    Raises:
+        ModelError: No muscle, or wishes that do not go together.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        known: InverseDynamics,
+        muscles: Sequence[Muscle],
+        reserves: Sequence[Reserve] = (),
+        wishes: Wishes = NOTHING_SPECIAL,
+        search: Any = None,
+        quick: Callable[..., Any] | None = None,
+    ) -> None:
+        check_wishes(muscles, wishes)
+        self.known, self.muscles, self.reserves = known, tuple(muscles), tuple(reserves)
+        self.wishes, self.robot = wishes, robot
+        self.names = tuple(part.name for part in (*muscles, *reserves))
+        self._frames = MuscleFrames(robot, known.couplings, muscles, reserves, search, quick)
+        self._sizes, self._n = sizes_of(muscles), len(muscles)
+        ends = [(muscle.inputs[0].lower, muscle.inputs[0].upper) for muscle in muscles]
+        ends += [reserve.limits for reserve in reserves]
+        self._lower, self._upper = np.array(ends, dtype=np.float64).T
+        self._optimal = np.array([reserve.optimal for reserve in reserves])
+        self._program = SeparableProgram(len(self.names), len(known.couplings.v_index))
+        self._nq, self._nv = int(robot.model.nq), int(robot.model.nv)
+        self.motion: tuple[Array, Array, Array] = (NONE, NONE, NONE)
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget earlier frames: no rate is limited by them."""
+        self._program.forget()
+        self._last: tuple[float, Array] | None = None
+
+    def solve(
+        self,
+        times: Array,
+        position: Array,
+        velocity: Array,
+        acceleration: Array,
+        wrenches: Sequence[Array] = (),
+        measured: Array | None = None,
+    ) -> Shares:
+        """Share the forces of a motion.
+
+        Args:
+            times: Of the frames [s], shape (frames,).
+            position: Of the independent coordinates, shape (frames, ny).
+            velocity: Same, shape (frames, nv_y).
+            acceleration: Same.
+            wrenches: One (frames, 6) array for every external load; none means unloaded.
+            measured: Activations that were measured, NaN where none was, shape (frames, n).
+
+        Raises:
+            SolveError: A frame whose answer does not pass the check, by its time.
+        """
+        frames, needed = self.demand(position, velocity, acceleration, wrenches)
+        gains = np.concatenate((frames.active, np.tile(self._optimal, (len(times), 1))), axis=1)
+        A, b = frames.columns * gains[:, None, :], needed
+        if self.wishes.passive:
+            b = needed - np.einsum("tji,ti->tj", frames.columns[:, :, : self._n], frames.passive)
+        prices = self.wishes.criterion.prices(self._sizes, frames.active, frames.fiber_speed)
+        if measured is None:
+            measured = np.full_like(frames.active, np.nan)
+        found, values = [], []
+        for t, *frame in zip(times.tolist(), A, b, prices, measured, strict=True):
+            optimum, value = self._share(t, *frame)
+            found.append(optimum)
+            values.append(value)
+        x = np.array([optimum.x for optimum in found])
+        force = x[:, : self._n] * frames.active
+        if self.wishes.passive:
+            force += frames.passive
+        return Shares(
+            *(frames, needed, x[:, : self._n], force, x[:, self._n :] * self._optimal),
+            np.array([optimum.lacking for optimum in found]),
+            np.array(values),
+            np.array([optimum.residual for optimum in found]),
+            np.array([optimum.is_feasible for optimum in found]),
+            A,
+            tuple(optimum.movable for optimum in found),
+        )
+
+    def demand(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
+    ) -> tuple[Frames, Array]:
+        """What muscles can exert in frames, and what the motion needs; arguments as `solve`."""
+        needed, slopes = self._needed(position, velocity, acceleration, wrenches)
+        return self._frames.at(position, velocity, *self.motion[:2], slopes), needed
+
+    def _needed(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array]
+    ) -> tuple[Array, Slopes]:
+        """What the motion needs without muscles, shape (frames, nv_y), and slopes of couplings."""
+        if len(position) > 1:
+            self.motion, slopes = self._expanded(position, velocity, acceleration)
+            return self.known.batch(position, velocity, acceleration, wrenches).tau, slopes
+        loads = [wrench[0] for wrench in wrenches]
+        tau, q, v, a, slopes = self.known.expanded(
+            position[0], velocity[0], acceleration[0], loads
+        )
+        self.motion = q[:, None].copy(), v[:, None].copy(), a[:, None].copy()
+        return tau[None], slopes
+
+    def _expanded(
+        self, position: Array, velocity: Array, acceleration: Array
+    ) -> tuple[tuple[Array, Array, Array], Slopes]:
+        couplings, count = self.known.couplings, len(position)
+        q, v, a = (np.zeros((size, count)) for size in (self._nq, self._nv, self._nv))
+        q[couplings.q_index], v[couplings.v_index] = position.T, velocity.T
+        a[couplings.v_index] = acceleration.T
+        return (q, v, a), couplings.expand(q, v, a)
+
+    def _share(
+        self, t: float, A: Array, b: Array, prices: Array, measured: Array
+    ) -> tuple[Optimum, float]:
+        """One frame."""
+        lower, upper, n = self._lower.copy(), self._upper.copy(), self._n
+        known = np.isfinite(measured)
+        if self.wishes.measured_is_least:
+            lower[:n][known] = np.minimum(np.maximum(lower[:n], measured), upper[:n])[known]
+        if self._last is not None:
+            dt, before = t - self._last[0], self._last[1]
+            lower[:n] = np.maximum(
+                lower[:n], np.minimum(before - self.wishes.fall * dt, upper[:n])
+            )
+            upper[:n] = np.minimum(
+                upper[:n], np.maximum(before + self.wishes.rise * dt, lower[:n])
+            )
+        cost = self._cost(prices, measured, known)
+        try:
+            optimum = self._program.solve(cost, A, b, lower, upper)
+        except SolveError as error:
+            raise SolveError(f"static optimisation at {t:.9g} s: {error}") from error
+        if min(self.wishes.rise, self.wishes.fall) < np.inf:
+            self._last = t, optimum.x[:n]
+        return optimum, cost.value(optimum.x)
+
+    def _cost(self, prices: Array, measured: Array, known: Array) -> SeparableCost:
+        r, none = len(self.reserves), np.zeros(len(self.names))
+        weight = np.concatenate((prices, np.ones(r)))
+        stiffness, target = none, none
+        if self.wishes.tracking > 0.0:
+            price = np.where(known, self.wishes.tracking, 0.0)
+            stiffness = np.concatenate((price, np.zeros(r)))
+            target = np.concatenate((np.where(known, measured, 0.0), np.zeros(r)))
+        return SeparableCost(self.wishes.criterion.exponent, weight, none, stiffness, target)
+
+
+def _scaled(A: Array) -> Array:
+    """Rows and columns of about equal size, so that ranks do not depend on units."""
+    rows = np.abs(A).max(axis=2, keepdims=True, initial=0.0)
+    A = A / np.where(rows > 0.0, rows, 1.0)
+    columns = np.abs(A).max(axis=1, keepdims=True, initial=0.0)
+    return np.asarray(A / np.where(columns > 0.0, columns, 1.0))

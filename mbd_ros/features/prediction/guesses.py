@@ -1,0 +1,153 @@
+"""The motion that a program begins with."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbd_ros.core.state import State
+from mbd_ros.errors import ModelError
+from mbd_ros.features.prediction.modes import PhaseMode
+from mbd_ros.features.prediction.recorded_guess import write_recorded
+from mbd_ros.features.prediction.recording import Recording
+from mbd_ros.features.prediction.references import recorded_lines
+from mbd_ros.features.prediction.task import PredictTask
+from mbd_ros.optimal_control.unknowns import BODY, PhaseMotion, steps_of
+
+if TYPE_CHECKING:
+    from mbd_ros.optimal_control.motion_phase import MotionPhase
+
+Lines = Mapping[str, tuple[float, ...]]
+
+
+def guesses_of(
+    phases: "Sequence[MotionPhase]",
+    first: State,
+    task: PredictTask,
+    recording: Recording | None = None,
+    modes: Sequence[PhaseMode] = (),
+) -> list[PhaseMotion]:
+    """Straight lines from the start to the end of each phase, and what a task says instead.
+
+    Args:
+        phases: The phases.
+        first: Where the scene starts, in what is integrated.
+        task: The task.
+        recording: Of the motion, which takes the place of straight lines.
+        modes: The systems of the phases.
+
+    Raises:
+        ModelError: A guess of what is no unknown.
+    """
+    found, state, t = list[PhaseMotion](), np.concatenate((first.q, first.v, first.z)), first.t
+    parts, lines = np.linspace(0.0, 1.0, len(phases) + 1), dict(task.guess)
+    if task.guess_file is not None:
+        lines |= recorded_lines(phases[0].quantities, task.guess_file)
+    for i, phase in enumerate(phases):
+        motion = _straight(phase, state, t)
+        if recording is not None:
+            write_recorded(phase, modes[i].system, motion, recording)
+        _write_lines(phase, motion, lines, (parts[i], parts[i + 1]))
+        _let_fibers_rest(phase, motion, lines)
+        found.append(motion)
+        t += motion.duration
+        state = np.concatenate([motion.nodes[key][-1] for key in "qvz"])
+    return found
+
+
+def _straight(phase: "MotionPhase", state: Any, begin: float) -> PhaseMotion:
+    problem, sizes, mesh = phase.problem, phase.equations.sizes, phase.problem.mesh
+    low, high = problem.duration
+    duration = 0.5 * (low + high) if np.isfinite(high) else 2.0 * low
+    start = phase.state_at_end(problem.start, state)
+    finish = phase.state_at_end(problem.end, start)
+    nodes, points = dict[str, Any](), dict[str, Any]()
+    for at, found in ((mesh.knots, nodes), (mesh.shares, points)):
+        whole = start + at[:, None] * (finish - start)
+        cuts = [sizes.nq, sizes.nq + sizes.nv]
+        found["q"], found["v"], found["z"] = np.split(whole, cuts, axis=1)
+    m = len(mesh.shares)
+    widths = {"a": sizes.nv, "w": sizes.nz, "u": sizes.nu, "l": sizes.m}
+    points |= {key: np.zeros((m, width)) for key, width in widths.items()}
+    points["d"] = np.zeros((m + mesh.intervals, 6 * len(sizes.bases)))
+    motion = PhaseMotion(mesh, begin, duration, nodes, points, sizes.bases)
+    if sizes.bases:
+        _move_bodies(phase, motion)
+    return motion
+
+
+def _move_bodies(phase: "MotionPhase", motion: PhaseMotion) -> None:
+    """Let free bodies screw from pose to pose; as they start where nothing says their end."""
+    ends = (one for name in phase.problem.end for one in phase.quantities.find(name))
+    named = {one.index for one in ends if one.letter == "q"}
+    for at_q, at_v in motion.bases:
+        q, v = slice(at_q, at_q + 7), slice(at_v, at_v + 6)
+        first, last = _unit(motion.nodes["q"][0, q]), _unit(motion.nodes["q"][-1, q])
+        twist = motion.nodes["v"][0, v].copy()
+        if named.intersection(range(at_q, at_q + 7)):
+            twist = BODY.difference(first, last) / motion.duration
+        for shares, found in (
+            (motion.mesh.knots, motion.nodes),
+            (motion.mesh.shares, motion.points),
+        ):
+            steps = shares[:, None] * motion.duration * twist
+            found["q"][:, q] = [BODY.integrate(first, step) for step in steps]
+            found["v"][:, v] = twist
+    steps = steps_of(motion.mesh, motion.nodes["q"], motion.points["q"], motion.bases)
+    motion.points["d"][:] = steps
+
+
+def _unit(pose: Any) -> Any:
+    """The pose with a quaternion of size 1; without a turn where it has no size."""
+    size = float(np.linalg.norm(pose[3:]))
+    return np.append(pose[:3], pose[3:] / size if size > 0.0 else [0.0, 0.0, 0.0, 1.0])
+
+
+def _let_fibers_rest(phase: "MotionPhase", motion: PhaseMotion, lines: Lines) -> None:
+    """Put fibres beside elastic tendons in balance along the guess, but where lines say more."""
+    system = phase.equations.equations.system
+    parts = [one for one in system.internals.parts if getattr(one, "is_elastic", False)]
+    every = (one for name in lines for one in phase.quantities.find(name))
+    given = {one.index for one in every if one.letter == "z"}
+    free = [one.z.stop - 1 for one in parts if one.z.stop - 1 not in given]
+    if not free:
+        return
+    nodes, u = motion.nodes, np.array(system.loads.idle, dtype=np.float64)
+    for i, z in enumerate(nodes["z"]):
+        z[free] = np.nan
+        x = State(motion.begin, nodes["q"][i], nodes["v"][i], z)
+        nodes["z"][i] = system.at_rest(x, u)
+    for at in free:
+        lengths = nodes["z"][:, at]
+        motion.points["z"][:, at] = np.interp(motion.mesh.shares, motion.mesh.knots, lengths)
+
+
+def _write_lines(
+    phase: "MotionPhase", motion: PhaseMotion, lines: Lines, part: tuple[float, float]
+) -> None:
+    """Put lines of a guess in place, with the velocities that belong to them.
+
+    Args:
+        phase: The phase.
+        motion: Its guess, which is changed.
+        lines: Quantity -> values at equal times of the whole motion.
+        part: Where in the whole motion the phase is.
+    """
+    flat = {int(i): int(j) for i, j in phase.equations.flat}
+    ends = (motion.mesh.knots, motion.nodes), (motion.mesh.shares, motion.points)
+    for name, values in lines.items():
+        places = np.linspace(0.0, 1.0, len(values))
+        for one in phase.quantities.find(name):
+            if not one.letter or one.letter == "p":
+                raise ModelError(f"guess: {one.name} is no unknown of the motion")
+            velocity = f"{one.name.removesuffix('position')}velocity"
+            for shares, found in ends:
+                if one.letter not in found:
+                    continue
+                at = part[0] + shares * (part[1] - part[0])
+                found[one.letter][:, one.index] = np.interp(at, places, values)
+                if one.letter == "q" and one.index in flat and velocity not in lines:
+                    once, which = np.unique(at, return_inverse=True)
+                    slope = np.gradient(np.interp(once, places, values), once)[which]
+                    slope *= part[1] - part[0]
+                    found["v"][:, flat[one.index]] = slope / motion.duration

@@ -1,0 +1,179 @@
+"""The systems of the phases of a motion, and what links them."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.dynamics.phased_system import PhasedSystem
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.events.phase import Check, Exit
+from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.state import Array, Mode, State
+from mbd_ros.errors import ModelError
+from mbd_ros.features.prediction.task import PredictTask
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.schema.nearest import nearest
+
+if TYPE_CHECKING:
+    from mbd_ros.optimal_control.motion_phase import MotionPhase
+    from mbd_ros.optimal_control.motion_program import Linkage
+
+_OFF = 1  # a row that gives way, at its lower bound
+
+
+class PhaseMode(NamedTuple):
+    """The system of a phase.
+
+    Attributes:
+        number: Of the phase in the scene.
+        system: Its system.
+        mode: Of rows that give way: all of them are off.
+        phased: The systems of all phases; None where a scene has none.
+    """
+
+    number: int
+    system: System
+    mode: Mode
+    phased: PhasedSystem | None = None
+
+    @property
+    def demands(self) -> tuple[Check, ...]:
+        """What contacts that the phase holds have to keep."""
+        if self.phased is None:
+            return ()
+        found: tuple[Check, ...] = self.phased.phases[self.number].demands
+        return found
+
+
+def modes_of(scene: Scene, task: PredictTask) -> list[PhaseMode]:
+    """The systems of the phases of a task.
+
+    Raises:
+        ModelError: A phase that the scene does not have.
+    """
+    names = list(scene.phases)
+    if not names:
+        for one in task.phases:
+            if one.phase:
+                raise ModelError(f"phase '{one.phase}': the scene has no phases")
+        system = scene.system()
+        return [PhaseMode(0, system, _mode(system)) for _ in task.phases]
+    phased, found = scene.phased_system(), list[PhaseMode]()
+    for one in task.phases:
+        if one.phase and one.phase not in names:
+            close = nearest(one.phase, names, 1)
+            hint = f", the nearest is '{close[0]}'" if close else ""
+            raise ModelError(f"no phase '{one.phase}'{hint}; there are {', '.join(names)}")
+        number = names.index(one.phase) if one.phase else phased.first
+        system = phased.systems[number]
+        found.append(PhaseMode(number, system, _mode(system), phased))
+    return found
+
+
+def started(scene: Scene, mode: PhaseMode) -> State:
+    """The consistent state near that in which the scene starts, in what is integrated.
+
+    Forces of contacts that its phase holds are those of inputs that nobody knows yet.
+    """
+    simulation, x = scene.simulation(), scene.initial
+    if mode.phased is None:
+        return mode.system.reduce(simulation.system.expand(simulation.start(x)))
+    system = mode.phased.during(x)
+    alone = simulation_of_phase(simulation, system, simulation.dt)
+    return mode.system.reduce(system.expand(alone.start(mode.phased.inward(x))))
+
+
+def simulation_of_phase(whole: Simulation, system: System, dt: float) -> Simulation:
+    """A simulation of one phase, without its guards."""
+    free = system.with_loads(system.loads.watched_by(()))
+    return Simulation(free, whole.integrator, whole.stabilization, dt)
+
+
+def _mode(system: System) -> Mode:
+    return (_OFF,) * len(system.exact.names) if system.exact is not None else ()
+
+
+def linkages_of(
+    scene: Scene,
+    task: PredictTask,
+    modes: Sequence[PhaseMode],
+    phases: "Sequence[MotionPhase]",
+) -> "list[Linkage]":
+    """What links the phases, and the end of the last one with the beginning.
+
+    Raises:
+        ModelError: A phase that does not lead to the next one.
+    """
+    found = list["Linkage"]()
+    for i in range(len(phases) - 1):
+        found.append(_linkage(scene, modes, phases, (i, i + 1), (), task))
+    is_cyclic = bool(task.periodic or task.symmetric)
+    travel = [scene.robot.joint(name).q for name in task.travel]
+    if is_cyclic and modes[-1].phased is not None:
+        ends = len(phases) - 1, 0
+        found.append(_linkage(scene, modes, phases, ends, travel, task))
+    elif is_cyclic:
+        found.append(_equal_ends(task, phases))
+    return found
+
+
+def _linkage(
+    scene: Scene,
+    modes: Sequence[PhaseMode],
+    phases: "Sequence[MotionPhase]",
+    numbers: tuple[int, int],
+    travel: Sequence[int],
+    task: PredictTask,
+) -> Any:
+    from mbd_ros.optimal_control.linkages import ResetLinkage
+    from mbd_ros.optimal_control.phase_equations import PhaseEquations
+    from mbd_ros.optimal_control.traced_redundancy import independent
+    from mbd_ros.scene.runs.symbolic_parts import traced
+
+    one, other = (modes[i] for i in numbers)
+    if one.phased is None:
+        raise ModelError("several phases of a scene without phases; accepted: section phases")
+    way = _exit(one.phased, one.number, other.number)
+    joined = phases[numbers[0]], phases[numbers[1]]
+    striking, equations = way.reset.striking, None
+    if striking is not None:
+        names = list(phases[0].equations.equations.parameters)
+        plain = PhaseEquations(traced(scene, striking, names, _mode(striking)).equations)
+        equations = independent(plain, striking.reduce(scene.initial), middles(task))
+    return ResetLinkage(*joined, numbers, way, equations, travel, grip=task.grip)
+
+
+def middles(task: PredictTask) -> Array:
+    """Values of the unknown numbers with which a motion begins."""
+    return np.array([sum(one) / 2.0 for one in task.parameters.values()])
+
+
+def _exit(phased: PhasedSystem, number: int, following: int) -> Exit:
+    phase = phased.phases[number]
+    for way in phase.exits:
+        if way.then == following:
+            found: Exit = way
+            return found
+    names = ", ".join(phased.phases[way.then].name for way in phase.exits) or "nothing"
+    raise ModelError(
+        f"phase {phase.name} does not lead to {phased.phases[following].name}, but to {names}"
+    )
+
+
+def _equal_ends(task: PredictTask, phases: "Sequence[MotionPhase]") -> Any:
+    from mbd_ros.optimal_control.linkages import EqualEnds
+
+    last, first = phases[-1].quantities, phases[0].quantities
+    pairs, signs = list[Any](), list[float]()
+    skipped = {f"{name}.position" for name in task.travel} | set(task.symmetric)
+    for name in task.periodic:
+        for end in last.find(name):
+            if end.name not in skipped:
+                pairs.append((end, first.find(end.name)[0]))
+                signs.append(1.0)
+    for name, source in task.symmetric.items():
+        sign = -1.0 if source.startswith("-") else 1.0
+        pairs.append((last.find(name)[0], first.find(source.lstrip("-"))[0]))
+        signs.append(sign)
+    return EqualEnds(phases[-1], phases[0], pairs, signs)

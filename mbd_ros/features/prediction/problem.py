@@ -1,0 +1,207 @@
+"""A scene and a task -> a program and the guess that it begins with."""
+
+from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.projection.independent_limits import independent_limits
+from mbd_ros.core.state import State
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.features.prediction.closed_guess import close
+from mbd_ros.features.prediction.driving import Driven, driven
+from mbd_ros.features.prediction.guesses import guesses_of
+from mbd_ros.features.prediction.modes import PhaseMode, linkages_of, middles, modes_of, started
+from mbd_ros.features.prediction.recording import Recording, given_inputs, recorded
+from mbd_ros.features.prediction.references import References
+from mbd_ros.features.prediction.task import PredictTask
+from mbd_ros.features.prediction.task_phases import PhaseTask
+from mbd_ros.features.prediction.traceable import traceable
+from mbd_ros.features.prediction.unit_turns import with_unit_turns
+from mbd_ros.optimal_control.free_body_names import body_names
+from mbd_ros.optimal_control.mesh import uniform_mesh
+from mbd_ros.optimal_control.problem import PhaseProblem, Range
+from mbd_ros.optimal_control.unknowns import PhaseMotion
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.describe.coordinate_names import coordinate_names, velocity_names
+
+if TYPE_CHECKING:
+    from mbd_ros.optimal_control.motion_phase import MotionPhase
+    from mbd_ros.optimal_control.motion_program import MotionProgram
+
+_FEW, _A_SECOND = 10, 25  # intervals of the first mesh
+
+
+class Problem(NamedTuple):
+    """What is solved.
+
+    Attributes:
+        scene: The scene, driven.
+        program: The program.
+        guesses: Of each phase.
+        parameters: Values to begin with.
+        modes: The systems of the phases.
+        links: Unknowns of what links phases, such as impulses; None for zeros.
+        recording: Of the motion; None without one.
+        changes: What the scene has otherwise than the one that was given, a line each.
+        residuals: Names of the wrenches that drive free bases.
+    """
+
+    scene: Scene
+    program: "MotionProgram"
+    guesses: list[PhaseMotion]
+    parameters: Any
+    modes: "list[PhaseMode]"
+    links: Any = None
+    recording: Recording | None = None
+    changes: tuple[str, ...] = ()
+    residuals: tuple[str, ...] = ()
+
+
+def problem_of(scene: Scene, task: PredictTask) -> Problem:
+    """The program of a task.
+
+    Raises:
+        SceneError: Names file and key.
+        Untraceable: Names a part that has no symbolic form.
+    """
+    from mbd_ros.optimal_control.motion_program import MotionProgram, Parameter
+
+    where, bounded = task.source or scene.name, [key for one in task.phases for key in one.bounds]
+    scene, residuals = driven(scene, task.driven_by, bounded)
+    scene, task, recording = recorded(scene, task)
+    scene, task, changes = traceable(scene, task, recording)
+    names = list(task.parameters)
+    values = middles(task)
+    try:
+        modes = modes_of(scene, task)
+        first = started(scene, modes[0])
+        if recording is not None:
+            first = first._replace(t=recording.begin)
+        phases = _phases(Driven(scene, residuals), task, modes, first, recording)
+        for phase in phases:
+            phase.check()
+        linkages = linkages_of(scene, task, modes, phases)
+        guesses = guesses_of(phases, first, task, recording, modes)
+    except ModelError as error:
+        raise SceneError(f"{where}: predict: {error}") from error
+    pairs = zip(names, values, strict=True)
+    parameters = [Parameter(name, task.parameters[name], value) for name, value in pairs]
+    program = MotionProgram(phases, parameters, first.t, linkages)
+    for phase, guess in zip(phases, guesses, strict=True):
+        close(phase.equations, guess, values)
+    more = {"recording": recording, "changes": changes, "residuals": residuals}
+    return Problem(scene, program, guesses, values, modes, **more)
+
+
+def _phases(
+    given: Driven,
+    task: PredictTask,
+    modes: Sequence[PhaseMode],
+    first: State,
+    recording: Recording | None,
+) -> "list[MotionPhase]":
+    from mbd_ros.optimal_control.held_limits import held_limits
+    from mbd_ros.optimal_control.motion_phase import MotionPhase
+    from mbd_ros.optimal_control.phase_equations import PhaseEquations
+    from mbd_ros.optimal_control.traced_redundancy import independent
+    from mbd_ros.scene.runs.symbolic_parts import traced
+
+    scene, names, found = given.scene, list(task.parameters), list[MotionPhase]()
+    begin, motion_file = first.t, task.recording.motion if task.recording else None
+    references = References(scene, recording, motion_file, begin)
+    for i, (mode, asked) in enumerate(zip(modes, task.phases, strict=True)):
+        plain = PhaseEquations(traced(scene, mode.system, names, mode.mode).equations)
+        equations = independent(plain, first, middles(task))
+        start = dict(asked.start)
+        if i == 0 and not task.start_free:
+            start = {**_start_of(scene, mode.system, first, asked.start), **start}
+        problem = _problem_of_phase(scene, task, asked, start)
+        numbers = np.arange(len(names), dtype=np.intp)
+        is_open = i == 0 and not task.periodic and not task.symmetric
+        shortest, longest = problem.duration
+        middle = 0.5 * (shortest + longest) if np.isfinite(longest) else 0.0
+        more: dict[str, Any] = {
+            "references": references.since(begin),
+            "closes_start": is_open,
+            "sensors": scene.sensors,
+            "limits": held_limits(equations, mode.demands, equations.symbols["l"], task.grip),
+            "given": given_inputs(given, asked.bounds, recording, begin, middle),
+        }
+        found.append(MotionPhase(problem, equations, numbers, **more))
+        begin += middle
+    return found
+
+
+def _problem_of_phase(
+    scene: Scene, task: PredictTask, asked: PhaseTask, start: Mapping[str, Range]
+) -> PhaseProblem:
+    assert asked.duration is not None  # a recording says it, or the task does
+    bounds = {**_usual_bounds(scene, asked.bounds), **asked.bounds}
+    mesh = uniform_mesh(task.mesh.scheme, _degree(task), _intervals(task, asked.duration))
+    bodies = [base.name for base in scene.robot.bases]
+    start, end = (with_unit_turns(one, bodies) for one in (start, asked.end))
+    return PhaseProblem(asked.phase, asked.duration, bounds, start, end, asked.goals, mesh)
+
+
+def _intervals(task: PredictTask, duration: Range) -> int:
+    """Of the first mesh: near a recording from the beginning, or few."""
+    if task.mesh.intervals is not None:
+        return task.mesh.intervals
+    if task.recording is None:
+        return _FEW
+    return max(_FEW, round(_A_SECOND * 0.5 * sum(duration)))
+
+
+def _degree(task: PredictTask) -> int:
+    return 3 if task.mesh.scheme == "hermite_simpson" else task.mesh.degree
+
+
+def _usual_bounds(scene: Scene, given: Mapping[str, Range]) -> dict[str, Range]:
+    """Limits of joints, which a task may replace, and of inputs and internal states."""
+    found = dict[str, Range]()
+    joints = {joint.name: joint for joint in scene.robot.joints}
+    kept = not any(part.law.is_rigid for part in scene.constraints)
+    lower, upper = independent_limits(scene.robot, scene.couplings)
+    names = coordinate_names(scene.robot, scene.couplings)
+    for name, low, high in zip(names, lower, upper, strict=True):
+        if name not in joints:
+            continue
+        one = joints[name]
+        found[f"{name}.position"] = (low, high) if kept else (one.lower, one.upper)
+        found[f"{name}.velocity"] = (-one.max_velocity, one.max_velocity)
+    return {
+        name: bounds
+        for name, bounds in found.items()
+        if np.isfinite(bounds).any() and not any(fnmatchcase(name, key) for key in given)
+    }
+
+
+def _start_of(
+    scene: Scene, system: System, first: State, given: Mapping[str, Range]
+) -> dict[str, Range]:
+    """The state in which the scene starts, but for what a task names."""
+    names = integrated_names(scene, len(first.v))
+    x, joints = system.expand(first), {joint.name: joint for joint in scene.robot.joints}
+    own = [joints[name] for name in names if name in joints]
+    pairs = [(f"{joint.name}.position", x.q[joint.q]) for joint in own]
+    pairs += [(f"{joint.name}.velocity", x.v[joint.v]) for joint in own]
+    for base in scene.robot.bases:
+        pose = x.q[base.q].copy()
+        pose[:3] += scene.robot.origin
+        pairs += list(zip(body_names(base.name), (*pose, *x.v[base.v]), strict=True))
+    pairs += list(zip(scene.internals.names, first.z, strict=True))
+    return {
+        name: (float(value), float(value))
+        for name, value in pairs
+        if not any(fnmatchcase(name, key) for key in given)
+    }
+
+
+def integrated_names(scene: Scene, nv: int) -> list[str]:
+    """Names of the velocities that a system integrates: independent ones, or all."""
+    if nv < scene.robot.model.nv:
+        return coordinate_names(scene.robot, scene.couplings)
+    return velocity_names(scene.robot, range(nv))

@@ -1,0 +1,189 @@
+"""Parts of a manifold that no motion along the rows joins: chains that never meet."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.state import Array
+from mbd_ros.features.sampling.ensemble import Ensemble
+from mbd_ros.features.sampling.feature_walk import arrives
+from mbd_ros.features.sampling.metropolis import Metropolis
+from mbd_ros.features.sampling.observables import Observable
+from mbd_ros.features.sampling.random_streams import stream
+from mbd_ros.features.sampling.space import Marks
+
+_PROBES, _SWEEPS, _STEPS = 24, 130, 5
+_SHORT = 0.03  # of the scale: a step, too short to jump from one branch to another
+_TRIES = 60  # of corrections towards the rows
+_KEPT = 100  # samples of a chain from which walks begin and at which they end
+_WALKS = 8  # from a chain to a component
+_STREAM = 2**62  # of probes, apart from those of chains
+
+
+class Components(NamedTuple):
+    """Components of a manifold, modulo what the features do not see.
+
+    Attributes:
+        of_probe: Number of the component of each random start, 0 that of the scene's start.
+        number: How many there are.
+        walls: What tells pairs of components apart, for people.
+    """
+
+    of_probe: NDArray[np.intp]
+    number: int
+    walls: tuple[str, ...]
+
+
+class _Flat:
+    """A space without energies, where walls stay."""
+
+    def __init__(self, ensemble: Ensemble) -> None:
+        space = ensemble.space
+        self.names, self.size, self.mass = space.names, space.size, space.mass
+        self.blocks, self.scale, self._space = space.blocks, space.scale, space
+        self.has_constant_masses = True
+
+    def potential(self, q: Array) -> Array:
+        """0, or infinite beyond a wall."""
+        energy = self._space.potential(q)
+        return np.where(np.isinf(energy), np.inf, 0.0)
+
+    def force(self, q: Array) -> Array:
+        """None."""
+        return np.zeros(q.shape)
+
+    def volume(self, q: Array, *, fixman: bool) -> Array:
+        """None."""
+        return np.zeros(q.shape[1])
+
+
+def random_starts(ensemble: Ensemble, q: Array, count: int, seed: int) -> Array:
+    """Configurations on the rows, far from a given one, shape (size, at most count).
+
+    Args:
+        ensemble: The ensemble.
+        q: The given one, shape (size,).
+        count: How many are looked for.
+        seed: Of the random numbers.
+    """
+    random, space = stream(seed, _STREAM, 0), ensemble.space
+    far = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
+    found: Marks = np.zeros(count, dtype=np.bool_)
+    with np.errstate(all="ignore"):
+        for _ in range(_TRIES):
+            places = ensemble.manifold.at(far)
+            far, found = ensemble.manifold.close(places, far)
+            if found.all():
+                break
+            again = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
+            far = np.where(found, far, again)
+        found = found & np.isfinite(space.potential(far))
+    return far[:, found]
+
+
+def components(
+    ensemble: Ensemble, q: Array, features: Sequence[Observable], seed: int
+) -> Components:
+    """Components of the manifold, as far as random starts find them.
+
+    Chains without energies go out from random starts. Two of them are in the same component where
+    a walk along the rows leads from one to the other.
+
+    Args:
+        ensemble: The ensemble; its walls count, its energies do not.
+        q: Start of the scene, shape (size,).
+        features: Quantities that are the same for configurations that are taken as one.
+        seed: Of the random numbers.
+    """
+    flat = Ensemble(_Flat(ensemble), 1.0)
+    starts = np.column_stack((q, random_starts(ensemble, q, _PROBES, seed)))
+    clouds, at = _clouds(flat, starts, features, seed)
+    group = _groups(flat, clouds, at, features)
+    numbers = np.unique(group)
+    walls = tuple(
+        _wall(clouds, group, int(numbers[0]), int(other), features) for other in numbers[1:]
+    )
+    return Components(np.searchsorted(numbers, group), len(numbers), walls)
+
+
+def _clouds(
+    flat: Ensemble, starts: Array, features: Sequence[Observable], seed: int
+) -> tuple[Array, Array]:
+    """Features of samples, (probes, samples, features), and these, (samples, size, probes)."""
+    chains = starts.shape[1]
+    at = flat.at(starts, np.zeros(starts.shape))
+    step = _SHORT * flat.space.scale * float(np.sqrt(flat.space.mass.min()))
+    method = Metropolis(flat, step)
+    found, visited = [], []
+    for k in range(_SWEEPS):
+        at, _ = method.sweep(at, stream(seed, _STREAM, k + 1), _STEPS)
+        if k >= _SWEEPS - _KEPT:
+            found.append([feature.value(at.q) for feature in features])
+            visited.append(at.q)
+    return np.array(found).transpose(2, 0, 1).reshape(chains, _KEPT, -1), np.array(visited)
+
+
+def _groups(
+    flat: Ensemble, clouds: Array, at: Array, features: Sequence[Observable]
+) -> NDArray[np.intp]:
+    """Smallest number of a probe that is in the same component, for each probe.
+
+    A component grows by the probes from which a walk arrives at a sample of it.
+    """
+    spread = clouds.reshape(-1, clouds.shape[2]).std(axis=0)
+    used = spread > 1.0e-9 * max(float(spread.max()), 1.0e-300)
+    kept, spread = [f for f, use in zip(features, used, strict=True) if use], spread[used]
+    scaled = clouds[:, :, used] / spread
+    group = np.full(len(clouds), -1)
+    while (group < 0).any():
+        first = int(np.flatnonzero(group < 0)[0])
+        group[first], grown = first, [first]
+        while grown and (group < 0).any():
+            others = np.flatnonzero(group < 0)
+            pairs = [_nearest(scaled, int(other), grown) for other in others]
+            a, b = np.concatenate(pairs, axis=1)
+            start, end = (at[i % _KEPT, :, i // _KEPT].T for i in (a, b))
+            joins = arrives(flat, start, end, kept, spread).reshape(len(others), -1).any(axis=1)
+            group[others[joins]] = first
+            grown = others[joins].tolist()
+    return group
+
+
+def _nearest(scaled: Array, one: int, others: Sequence[int]) -> Array:
+    """Pairs of samples of a probe and of others, near ones and less near ones, (2, walks)."""
+    every = np.concatenate([other * _KEPT + np.arange(_KEPT) for other in others])
+    flat = scaled.reshape(-1, scaled.shape[2])[every]
+    apart = _apart(scaled[one], flat)
+    nearest = np.argmin(apart, axis=1)
+    order = np.argsort(apart[np.arange(_KEPT), nearest])
+    chosen = order[np.linspace(0, _KEPT // 2, _WALKS).astype(int)]
+    return np.array([one * _KEPT + chosen, every[nearest[chosen]]])
+
+
+def _apart(a: Array, b: Array) -> Array:
+    """Squares of distances of all samples, shape (len(a), len(b))."""
+    squares = (a * a).sum(axis=1)[:, None] + (b * b).sum(axis=1)[None, :] - 2.0 * a.dot(b.T)
+    apart: Array = np.maximum(squares, 0.0)
+    return apart
+
+
+def _wall(
+    clouds: Array, group: NDArray[np.intp], one: int, other: int, features: Sequence[Observable]
+) -> str:
+    """What tells two components apart."""
+    a = clouds[group == one].reshape(-1, clouds.shape[2])
+    b = clouds[group == other].reshape(-1, clouds.shape[2])
+    spread = np.maximum(np.concatenate((a, b)).std(axis=0), 1.0e-300)
+    above, below = (
+        (a.min(axis=0) - b.max(axis=0)) / spread,
+        (b.min(axis=0) - a.max(axis=0)) / spread,
+    )
+    gap = np.maximum(above, below)
+    k = int(np.argmax(gap))
+    ends = [f"{cloud[:, k].min():.4g} .. {cloud[:, k].max():.4g}" for cloud in (a, b)]
+    if gap[k] <= 0.0:
+        return "no single quantity tells them apart"
+    unit = f" {features[k].unit}" if features[k].unit else ""
+    return f"{features[k].name} is {ends[0]}{unit} in one and {ends[1]}{unit} in the other"

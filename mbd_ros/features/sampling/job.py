@@ -1,0 +1,233 @@
+"""Ensembles of a scene: `mbd-ros sample`."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.errors import SceneError
+from mbd_ros.features.sampling import tables
+from mbd_ros.features.sampling.averages import Average, average, histogram
+from mbd_ros.features.sampling.blocks import blocks_done
+from mbd_ros.features.sampling.chain_setup import Asked, Order
+from mbd_ros.features.sampling.chains import Sampled, blocks_of
+from mbd_ros.features.sampling.checkpoint_file import read_checkpoint, write_checkpoint
+from mbd_ros.features.sampling.components import components
+from mbd_ros.features.sampling.counting import degrees_of_freedom
+from mbd_ros.features.sampling.mean_force import free_energy, mean_force
+from mbd_ros.features.sampling.task import SampleTask, sample_task
+from mbd_ros.files.table import MAIN, Result
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.scene.task_reader import read_task
+
+_APART = 1.05  # split R-hat above which chains are said not to agree
+_BINS = 20
+_FEW = 100  # effective samples
+
+
+class Where(NamedTuple):
+    """Where chains are sampled, and where they go on and stop.
+
+    Attributes:
+        workers: How many cores; None for all.
+        scheduler: Of a Dask cluster.
+        goes_on: Checkpoint of an earlier run.
+        checkpoint: Where that of this run goes.
+    """
+
+    workers: int | None = None
+    scheduler: str | None = None
+    goes_on: Path | None = None
+    checkpoint: Path | None = None
+
+
+_HERE = Where()
+
+
+def sample(
+    scene: Any,
+    task: str | Path | Mapping[str, Any],
+    *,
+    workers: int | None = 1,
+    scheduler: str | None = None,
+    goes_on: str | Path | None = None,
+    checkpoint: str | Path | None = None,
+    say: Say | None = None,
+    progress: Watch = False,
+) -> Result:
+    """Samples of the canonical ensemble of a scene, or mean forces along a coordinate.
+
+    Args:
+        scene: A scene of particles, or a mechanism without free bodies.
+        task: A task file with a section `sample`, or its keys.
+        workers: How many processes; None for one a core, which a script starts only below
+            `if __name__ == "__main__":`. They do not change the result.
+        scheduler: Of a Dask cluster, in place of them.
+        goes_on: Checkpoint of an earlier run, from which this one goes on.
+        checkpoint: Where a checkpoint goes.
+        say: Is called with each line for people; without it the lines are
+            `metadata["remarks"]`.
+        progress: True for a line on a terminal, or a function of a label and a share.
+
+    Returns:
+        Tables `samples`, `averages`, `chains` and `histogram.<quantity>`; with a coordinate
+        `profile`.
+
+    Raises:
+        SceneError: The task cannot be read, or does not fit the scene.
+        DivergedError: A step does not end on the rows.
+    """
+    remarks: list[str] = []
+    paths = (None if one is None else Path(one) for one in (goes_on, checkpoint))
+    where = Where(workers, scheduler, *paths)
+    with watching(progress):
+        result = run_sample(Asked(scene, *task_of(scene, task)), say or remarks.append, where)
+    if say is None:
+        result.metadata["remarks"] = remarks
+    return result
+
+
+def task_of(scene: Any, task: str | Path | Mapping[str, Any]) -> tuple[SampleTask, str]:
+    """The task of a file or of keys, and its name for messages."""
+    if not isinstance(task, str | Path):
+        return sample_task(dict(task), "sample"), "sample"
+    parts = read_task(task, scene).parts
+    if "sample" not in parts:
+        raise SceneError(f"{task}: has no section sample")
+    return parts["sample"], f"{task}: sample"
+
+
+def run_sample(asked: Asked, say: Say, where: Where = _HERE) -> Result:
+    """See `sample`."""
+    for line in _first_lines(asked):
+        say(line)
+    if asked.coordinate is not None:
+        found = _profile(asked, say, where)
+    else:
+        found = _ensemble(asked, say, where)
+    inputs = {"seed": asked.plan.seed, "thermal_energy": asked.kT, "method": asked.plan.method}
+    return Result(found, metadata_of("sample", asked.scene, inputs, {}))
+
+
+def _first_lines(asked: Asked) -> Iterator[str]:
+    sampled, task = asked.sampled, asked.task
+    degrees = degrees_of_freedom(sampled.space, sampled.start)
+    yield (
+        f"{sampled.name}: {sampled.space.size} coordinates, {degrees} degrees of freedom, "
+        f"kT {asked.kT:.6g} {sampled.energy}, {task.method}"
+        + (", Fixman's potential" if task.fixman else "")
+    )
+    looks = sampled.is_small if task.components is None else task.components
+    if not looks or asked.coordinate is not None or not sampled.features:
+        return
+    found = components(asked.ensemble(None), sampled.start, sampled.features, task.seed)
+    if found.number == 1:
+        yield f"components: 1, from {len(found.of_probe) - 1} random starts"
+        return
+    own = int(np.count_nonzero(found.of_probe == 0)) - 1
+    yield (
+        f"components: {found.number} that no motion along the rows joins; "
+        f"{own} of {len(found.of_probe) - 1} random starts are in that of the scene"
+    )
+    yield from (f"  wall: {wall}" for wall in found.walls)
+
+
+def _ensemble(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
+    blocks = blocks_of(asked.plan.chains)
+    done = _done(asked, [Order(i) for i in range(len(blocks))], where)
+    if where.checkpoint is not None:
+        write_checkpoint(where.checkpoint, [one.end for one in done])
+    values = np.concatenate([one.values for one in done], axis=1)
+    accepted = np.concatenate([one.accepted for one in done])
+    names, units = (list(column) for column in zip(*asked.columns, strict=True))
+    averages = {name: average(x) for name, x in zip(names, values, strict=True)}
+    if asked.plan.method == "metropolis":
+        say(f"accepted {accepted.mean():.3f}, dt {done[0].end.dt:.4g}")
+    for line in _average_lines(averages, units, asked):
+        say(line)
+    found = {
+        MAIN: tables.sample_table(values, names, units),
+        tables.AVERAGES: tables.average_table(averages, units),
+        tables.CHAINS: tables.chain_table(accepted),
+    }
+    by_name = dict(zip(names, units, strict=True))
+    for name, x, edges in _binned(asked, names, values):
+        table = tables.histogram_table(histogram(x, edges), by_name[name])
+        found[tables.HISTOGRAM + name] = table
+    return found
+
+
+def _done(asked: Asked, orders: Sequence[Order], where: Where) -> list[Sampled]:
+    if where.goes_on is not None:
+        size, blocks = asked.sampled.space.size, blocks_of(asked.plan.chains)
+        sizes = [(size, one.stop - one.start) for one in blocks]
+        starts = read_checkpoint(where.goes_on, sizes)
+        orders = [order._replace(start=starts[order.number]) for order in orders]
+    return blocks_done(asked, orders, where.workers, where.scheduler)
+
+
+def _average_lines(
+    averages: Mapping[str, Average], units: Sequence[str], asked: Asked
+) -> Iterator[str]:
+    sampled = asked.sampled
+    degrees = degrees_of_freedom(sampled.space, sampled.start)
+    for (name, one), unit in zip(averages.items(), units, strict=True):
+        word = f" {unit}" if unit else ""
+        yield (
+            f"  {name}: {one.mean:.6g} +- {one.error:.2g}{word}, "
+            f"{one.effective:.0f} effective samples, split R-hat {one.rhat:.4f}"
+        )
+        if name.startswith("energy.kinetic") and degrees:
+            share = 2.0 / (degrees * asked.kT)
+            yield f"    {share * one.mean:.6g} +- {share * one.error:.2g} of the temperature"
+    apart = [n for n, one in averages.items() if one.rhat > _APART or one.effective < _FEW]
+    if apart:
+        yield (
+            f"chains do not agree on {', '.join(apart[:4])}: they have not been long enough, or "
+            "are in parts that do not meet"
+        )
+
+
+def _binned(
+    asked: Asked, names: Sequence[str], values: Array
+) -> Iterator[tuple[str, Array, Array]]:
+    """Name, values and edges of each histogram that is asked for, or of each quantity."""
+    by_name, given = dict(zip(names, values, strict=True)), asked.task.histograms
+    for name, (low, high, count) in given.items():
+        if name not in by_name:
+            raise SceneError(
+                f"{asked.where}.histograms: there is no {name}, accepted: {', '.join(names)}"
+            )
+        yield name, by_name[name], np.linspace(low, high, int(count) + 1)
+    for one in asked.quantities:
+        x = by_name[one.name]
+        if not given and np.ptp(x) > 0.0:
+            yield one.name, x, np.linspace(float(x.min()), float(x.max()), _BINS + 1)
+
+
+def _profile(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
+    if where.goes_on is not None or where.checkpoint is not None:
+        raise SceneError("mean forces have no checkpoints; a run without a coordinate has")
+    levels, blocks = list(asked.task.at), blocks_of(asked.plan.chains)
+    orders = [Order(i, level) for level in levels for i in range(len(blocks))]
+    done = blocks_done(asked, orders, where.workers, where.scheduler)
+    forces = []
+    for k, level in enumerate(levels):
+        mine = done[k * len(blocks) : (k + 1) * len(blocks)]
+        values = np.concatenate([one.values for one in mine], axis=1)
+        forces.append(mean_force(level, *values))
+    profile, coordinate = free_energy(forces), asked.coordinate
+    assert coordinate is not None
+    units = (coordinate.unit, asked.sampled.energy)
+    for one, energy, error in zip(forces, *profile, strict=True):
+        say(
+            f"  {coordinate.name} {one.level:g}: mean force {one.force.mean:.6g} +- "
+            f"{one.force.error:.2g}, free energy {energy:.6g} +- {error:.2g} "
+            f"({one.force.effective:.0f} effective samples)"
+        )
+    table = tables.profile_table(coordinate.name, units, forces, profile)
+    return {MAIN: table, tables.PROFILE: table}

@@ -1,0 +1,183 @@
+"""Molecules as what is sampled: coordinates of all points, rows of each kind side by side."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from mbd_ros.core.particles.molecules import Molecules
+from mbd_ros.core.particles.particle_system import PairForces
+from mbd_ros.core.particles.row_geometry import DistanceRow, PointRow, SurfaceRow
+from mbd_ros.core.rows.independent_rows import independent
+from mbd_ros.core.state import Array
+from mbd_ros.features.sampling.counting import kinetic_parts
+
+
+class MoleculeRows:
+    """Rows of a kind of molecules; those that others imply are left out.
+
+    Args:
+        kind: The molecules.
+        first: Number of their first coordinate.
+
+    Attributes:
+        coordinates: Shape (3 atoms, copies); None where they are all there are.
+        copies: Number of molecules.
+        rows: Names of the rows of one of them.
+    """
+
+    coordinates: Array | None
+
+    def __init__(self, kind: Molecules, first: int, *, is_alone: bool) -> None:
+        self._atoms, self.copies = len(kind.atoms), kind.count
+        size = 3 * self._atoms
+        self.coordinates = first + np.arange(size * self.copies).reshape(-1, size).T
+        if is_alone and self.copies == 1:
+            self.coordinates = None
+        self._take(list(kind.rows))
+        J = self.jacobian(kind.at.reshape(-1, 1))[:, :, 0]
+        ordered: list[PointRow] = [*self._bonds, *self._surfaces]
+        self._take([ordered[i] for i in independent(J)])
+        kept: list[PointRow] = [*self._bonds, *self._surfaces]
+        self.rows = tuple(row.name for row in kept)
+
+    def _take(self, rows: Sequence[PointRow]) -> None:
+        self._bonds = [row for row in rows if isinstance(row, DistanceRow)]
+        self._surfaces = [row for row in rows if isinstance(row, SurfaceRow)]
+        self._i = np.array([row.i for row in self._bonds], dtype=np.intp)
+        self._j = np.array([row.j for row in self._bonds], dtype=np.intp)
+        self._length = np.array([row.length for row in self._bonds])[:, None, None]
+        self._at = np.array([row.i for row in self._surfaces], dtype=np.intp)
+        self._level = np.array([row.level for row in self._surfaces])[:, None]
+        self._squares, self._normal, self._center = (
+            np.array([getattr(row, name) for row in self._surfaces]).reshape(-1, 3, 1)
+            for name in ("squares", "normal", "center")
+        )
+
+    def residual(self, x: Array) -> Array:
+        """g, shape (m, n)."""
+        at, n = x.reshape(self._atoms, 3, -1), len(self._bonds)
+        g = np.empty((n + len(self._surfaces), x.shape[1]))
+        d = at[self._i] - at[self._j]
+        length = self._length[:, 0]
+        g[:n] = 0.5 * (np.einsum("kcn,kcn->kn", d, d) / length - length)
+        if self._surfaces:
+            d = at[self._at] - self._center
+            g[n:] = np.einsum("kcn,kcn->kn", self._squares * d + self._normal, d) - self._level
+        return g
+
+    def jacobian(self, x: Array) -> Array:
+        """dg/dx, shape (m, 3 atoms, n)."""
+        at, n = x.reshape(self._atoms, 3, -1), len(self._bonds)
+        J = np.zeros((n + len(self._surfaces), *at.shape))
+        d = (at[self._i] - at[self._j]) / self._length
+        rows = np.arange(n)
+        J[rows, self._i], J[rows, self._j] = d, -d
+        if self._surfaces:
+            d = at[self._at] - self._center
+            J[np.arange(n, len(J)), self._at] = 2.0 * self._squares * d + self._normal
+        return J.reshape(len(J), *x.shape)
+
+
+class ParticleSpace:
+    """Positions of all points of molecules; see `space.Space`.
+
+    Args:
+        kinds: The molecules, in the order of the coordinates.
+        pair_forces: Forces between points; None without any.
+
+    Attributes:
+        kinds: As given.
+        pair_forces: As given.
+        names: x, y and z of every point.
+        size: Three times the number of points.
+        mass: Of every coordinate.
+        blocks: Rows a kind.
+        scale: Usual distance of the points of a molecule.
+        has_constant_masses: True.
+    """
+
+    has_constant_masses = True
+
+    def __init__(self, kinds: Sequence[Molecules], pair_forces: PairForces | None = None) -> None:
+        self.kinds, self.pair_forces = tuple(kinds), pair_forces
+        labels = [label for kind in kinds for label in kind.labels]
+        self.names = tuple(f"{label}.{axis}" for label in labels for axis in "xyz")
+        self.size = len(self.names)
+        masses = [np.tile(kind.masses, kind.count) for kind in kinds]
+        self.mass: Array = np.repeat(np.concatenate(masses), 3)
+        self._first = np.cumsum([0, *(3 * kind.size for kind in kinds)]).tolist()
+        self.blocks = tuple(
+            MoleculeRows(kind, first, is_alone=len(kinds) == 1)
+            for kind, first in zip(kinds, self._first, strict=False)
+            if kind.rows
+        )
+        self.scale = _usual_size(self.kinds)
+
+    def potential(self, q: Array) -> Array:
+        """Potential energy, shape (chains,)."""
+        energy = np.zeros(q.shape[1])
+        for kind, x in self._lanes(q):
+            energy += kind.energy(x).reshape(kind.count, -1).sum(axis=0)
+        if self.pair_forces is not None:
+            energy += np.array([self._pairs_of(one)[0] for one in q.T])
+        return energy
+
+    def force(self, q: Array) -> Array:
+        """-dV/dq, shape (size, chains)."""
+        force, chains = np.zeros(q.shape), q.shape[1]
+        for (kind, x), first in zip(self._lanes(q), self._first, strict=False):
+            if kind.terms or kind.fields:
+                own = np.zeros(x.shape)
+                kind.add_force(x, own)
+                by_copy = own.reshape(x.shape[0] * 3, kind.count, chains).transpose(1, 0, 2)
+                force[first : first + 3 * kind.size] = by_copy.reshape(-1, chains)
+        if self.pair_forces is not None:
+            for i, one in enumerate(q.T):
+                force[:, i] += self._pairs_of(one)[1]
+        return force
+
+    def _pairs_of(self, q: Array) -> tuple[float, Array]:
+        """Energy and forces of the pairs of one chain, the forces of shape (size,)."""
+        assert self.pair_forces is not None
+        force = np.zeros((self.size // 3, 3))
+        energy = self.pair_forces.add_force(np.ascontiguousarray(q).reshape(-1, 3), force)
+        return energy, force.ravel()
+
+    def volume(self, q: Array, *, fixman: bool) -> Array:
+        """Nothing: masses are constant."""
+        return np.zeros(q.shape[1])
+
+    def kinetic_parts(self, q: Array, v: Array) -> Array:
+        """Means of translation, rotation and the rest of the molecules of each kind.
+
+        Returns:
+            Shape (3 kinds, chains).
+        """
+        found, chains = [], q.shape[1]
+        for (kind, x), (_, w) in zip(self._lanes(q), self._lanes(v), strict=True):
+            parts = kinetic_parts(kind.masses, x, w)
+            found.append(parts.reshape(3, kind.count, chains).mean(axis=1))
+        return np.concatenate(found)
+
+    def _lanes(self, q: Array) -> list[tuple[Molecules, Array]]:
+        """Positions of each kind, (atoms, 3, copies * chains)."""
+        found = []
+        for kind, first in zip(self.kinds, self._first, strict=False):
+            atoms, chains = len(kind.atoms), q.shape[1]
+            mine = q[first : first + 3 * kind.size].reshape(kind.count, 3 * atoms, chains)
+            found.append((kind, mine.transpose(1, 0, 2).reshape(atoms, 3, -1)))
+        return found
+
+
+def _usual_size(kinds: Sequence[Molecules]) -> float:
+    """Median of the lengths between points of a molecule, of points from the origin else."""
+    lengths = []
+    for kind in kinds:
+        apart = np.linalg.norm(kind.at[:, None] - kind.at[None, :], axis=2)
+        lengths += list(apart[np.triu_indices(len(kind.at), 1)])
+        lengths += [row.length for row in kind.rows if isinstance(row, DistanceRow)]
+    lengths = [x for x in lengths if x > 0.0]
+    if not lengths:
+        lengths = [float(np.linalg.norm(kind.at, axis=1).max()) for kind in kinds]
+    found = float(np.median(lengths))
+    return found if found > 0.0 else 1.0

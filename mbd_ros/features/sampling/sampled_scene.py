@@ -1,0 +1,142 @@
+"""What of a scene is sampled: its space, its start, its quantities and their units."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.particles.units import BOLTZMANN
+from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SceneError
+from mbd_ros.features.sampling.joint_space import JointSpace
+from mbd_ros.features.sampling.observables import Observable, coordinate
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import is_of_particles
+
+_MOST = 60  # coordinates of a scene whose components are looked for unasked
+
+
+@dataclass(frozen=True)
+class SampledScene:
+    """A scene as what is sampled.
+
+    Attributes:
+        name: Of the scene, for messages.
+        space: Its configurations.
+        start: A configuration on the rows, shape (size,).
+        boltzmann: Boltzmann's constant in its units.
+        energy: Word for its unit of energy.
+        points: Names of particles; empty for a mechanism.
+        length: Word for its unit of length.
+        defaults: Quantities that are kept where a task names none.
+        features: Quantities by which components of the manifold are told apart.
+    """
+
+    name: str
+    space: Any
+    start: Array
+    boltzmann: float
+    energy: str
+    points: Sequence[str]
+    length: str
+    defaults: tuple[Observable, ...]
+    features: tuple[Observable, ...]
+
+    @property
+    def is_small(self) -> bool:
+        """Whether components are looked for unasked."""
+        return bool(self.space.blocks) and self.space.size <= _MOST
+
+
+def sampled_scene(scene: Any) -> SampledScene:
+    """What of a scene is sampled.
+
+    Raises:
+        SceneError: The scene has what an ensemble does not serve; says what.
+    """
+    if is_of_particles(scene):
+        from mbd_ros.features.sampling.sampled_particles import sampled_particles
+
+        return sampled_particles(scene)
+    return _mechanism(scene)
+
+
+def _mechanism(scene: Scene) -> SampledScene:
+    _refuse(scene)
+    system = scene.system()
+    if not system.chart.is_flat or system.nq != system.nv:
+        raise SceneError(f"{scene.name}: a free body is nowhere held: it has no ensemble")
+    if not system.nv:
+        raise SceneError(f"{scene.name}: no joint moves, there is nothing to sample")
+    if len(system.held.rows) != len(system.rows):
+        raise SceneError(f"{scene.name}: rows of velocities have no ensemble of configurations")
+    y = assemble(system, system.reduce(scene.initial))
+    names = scene.couplings.independent
+    kinds = {joint.name: joint.kind for joint in scene.robot.joints}
+    walls = _walls(scene, system)
+    space = JointSpace(system, y, names, walls)
+    units = ["m" if kinds[name] == "prismatic" else "rad" for name in names]
+    positions = tuple(
+        _position(name, unit, i) for i, (name, unit) in enumerate(zip(names, units, strict=True))
+    )
+    features = [one for p in positions for one in _circular(p)]
+    if not np.isfinite(space.potential(y.q[:, None])).all():
+        raise SceneError(f"{scene.name}: initial: lies beyond a stop")
+    return SampledScene(
+        scene.name, space, y.q, BOLTZMANN, "J", (), "m", positions, tuple(features)
+    )
+
+
+def _refuse(scene: Scene) -> None:
+    wrong = {
+        "phases": scene.phases,
+        "contacts": scene.parts.get("contacts"),
+        "muscles": scene.muscles,
+        "external_wrenches": scene.wrenches,
+    }
+    for key, there in wrong.items():
+        if there:
+            raise SceneError(f"{scene.name}: {key}: an ensemble does not serve them")
+    for part in (*scene.actuators, *scene.forces):
+        if part.internal:
+            raise SceneError(f"{scene.name}: {part.name}: internal states have no ensemble")
+
+
+def _walls(scene: Scene, system: Any) -> list[Any]:
+    """Stops of one side."""
+    k, walls = system.k, []
+    for part in scene.constraints:
+        if part.law.is_rigid:
+            continue
+        if part.law.kind.name != "UNILATERAL":
+            raise SceneError(
+                f"{scene.name}: {part.name}: an ensemble serves bilateral rows and stops"
+            )
+
+        def is_within(x: State, part: Any = part) -> bool:
+            k.refresh(x.q, x.v, part.reads)
+            return bool((part.residual(k, x) >= 0.0).all())
+
+        walls.append(is_within)
+    return walls
+
+
+def _position(name: str, unit: str, number: int) -> Observable:
+    """A position; that of an angle lies between -pi and pi."""
+    found = coordinate(f"{name}.position", unit, number)
+    if unit != "rad":
+        return found
+    return found._replace(of=lambda x: (x[0] + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _circular(position: Observable) -> tuple[Observable, ...]:
+    """A position, or cosine and sine of an angle."""
+    if position.unit != "rad":
+        return (position,)
+    at, name = position.coordinates, position.name.removesuffix(".position")
+    return (
+        Observable(f"cos {name}", "", at, lambda x: np.cos(x[0])),
+        Observable(f"sin {name}", "", at, lambda x: np.sin(x[0])),
+    )

@@ -1,0 +1,229 @@
+"""Forward simulation of a scene."""
+
+import math
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mbd_ros.core.dynamics.phase_queries import phase_names
+from mbd_ros.core.ranges import SHORTEST_DT
+from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import SAME_TIME
+from mbd_ros.errors import FAILED, DataError, DivergedError, MbdError, SolveError
+from mbd_ros.features.simulation.events import EVENTS, event_table
+from mbd_ros.features.simulation.inputs import drives, initial_state
+from mbd_ros.features.simulation.run import Run, check_words, options_of
+from mbd_ros.features.simulation.step_check import step_warnings
+from mbd_ros.features.simulation.summary import summary
+from mbd_ros.files.table import MAIN, Result, Table
+from mbd_ros.jobs.error_source import about
+from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Watch, announce, watching
+from mbd_ros.jobs.progress import progress as shown
+from mbd_ros.motion.recordings import Source
+from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.state_table import table_of, topics_of
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
+
+if TYPE_CHECKING:
+    from mbd_ros.core.complementarity.contact_problem import Residuals
+
+
+class Interrupted(MbdError):
+    """A simulation that ended early.
+
+    Attributes:
+        result: The motion so far; None once it is in a file.
+        exit_code: Of the command line.
+    """
+
+    exit_code = FAILED
+    result: Result | None = None
+
+
+class _CtrlC(MbdError):
+    """Ctrl-C, as the reason why a simulation ended."""
+
+
+def simulate(
+    scene: Scene,
+    duration: float,
+    *,
+    start: float = 0.0,
+    origin: Source | None = None,
+    efforts: Source | None = None,
+    wrenches: Source | None = None,
+    dt: float | None = None,
+    integrator: str | Mapping[str, Any] | None = None,
+    tolerance: float | None = None,
+    solver: str | Mapping[str, str] | None = None,
+    say: Say | None = None,
+    progress: Watch = False,
+) -> Result:
+    """Motion from forces, with constraint forces, energy and violations.
+
+    Ctrl-C returns the motion so far, with the reason in `metadata["ended"]`.
+
+    Args:
+        scene: The scene.
+        duration: [s].
+        start: Time at which the simulation begins [s].
+        origin: Result or file whose joint state at `start` is the initial one, in place of that
+            of the scene.
+        efforts: Result or file of the commands of actuators, or of the efforts of joints.
+        wrenches: Result or file of the external loads of the scene.
+        dt: Step of a fixed-step method, and interval of the output [s].
+        integrator: Type or entry, in place of that of the scene.
+        tolerance: Of the integrator.
+        solver: Type or entry of the tier, in place of that of the scene.
+        say: Is called with each line for people; without it the lines are
+            `metadata["remarks"]`.
+        progress: True for a line on a terminal, or a function of a label and a share.
+
+    Returns:
+        Table `samples`: `time`, `<joint>.position`, `.velocity`, `.acceleration`, `.effort`,
+        `<joint>.multiplier`, `<part>.<quantity>`, `energy`, `drift.position`, `drift.velocity`,
+        perhaps `<joint>.command` and `contacts.residual.primal`; of free bodies
+        `<body>.position.x` and so on. Table `events`, where something may happen at one time: see
+        `event_table`.
+
+    Raises:
+        Interrupted: The state diverged, equations have no solution, or steps became too short;
+            its `result` is the motion so far.
+        MbdError: Input that cannot be used.
+    """
+    options = options_of(scene, dt, integrator, tolerance, solver)
+    run = Run(duration, origin, start, efforts, wrenches, options)
+    remarks: list[str] = []
+    with watching(progress):
+        result = run_simulation(scene, run, say or remarks.append)
+    if say is None:
+        result.metadata["remarks"] = remarks
+    return result
+
+
+def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
+    """See `simulate`."""
+    check_words(scene, run)
+    if not scene.robot.model.nv:
+        raise DataError(f"{scene.name}: no joint of the robot moves, so there is no motion")
+    sources, forces, remarks = drives(scene, run)
+    options = {**run.options, "dt": _interval(scene, run)}
+    simulation = scene.simulation(forces=forces, sources=sources, tell=announce, **options)
+    x, more = initial_state(scene, run)
+    excited = scene.muscles, x, simulation.system.loads.sources.at(x.t)
+    fibers = fiber_warnings(scene.robot, *excited)
+    odd = (*scene.robot.doubts, *start_warnings(scene.robot, scene.constraints, x), *fibers)
+    how = (simulation.how,) if simulation.how else ()
+    for text in (*remarks, *more, *how, *(f"warning: {text}" for text in odd)):
+        say(text)
+    begin = time.perf_counter()
+    states, residuals, forces, failure = _states(simulation, x, run)
+    wall = time.perf_counter() - begin
+    evaluations = simulation.evaluations
+    _say_windows(scene, simulation, states, say)
+    table, of_samples, lost = table_of(simulation, states, forces, scene.sensors)
+    table, of_contacts = _with_residuals(table, residuals)
+    topics = topics_of(simulation.system)
+    tables = {MAIN: table}
+    if simulation.guards:
+        tables[EVENTS] = event_table(simulation, simulation.events)
+    result = Result(tables, metadata_of("simulate", scene, run.inputs, topics))
+    if phases := phase_names(simulation.system):
+        result.metadata["phases"] = list(phases)
+    failure = lost or failure
+    if failure is not None:
+        return _ended(scene, result, failure)
+    with about(scene.name):
+        said = [*summary(simulation, table, wall, evaluations), *of_contacts, *of_samples]
+        found = step_warnings(
+            simulation.system, simulation.integrator, simulation.dt, states, simulation.events
+        )
+        said += [f"warning: {text}" for text in found]
+        said += [f"warning: {text}" for text in simulation.passed_stops()]
+    if scene.wrenches and run.wrenches is None:
+        say(f"unloaded: {', '.join(scene.wrenches)}; --wrenches FILE brings their values")
+    for text in said:
+        say(text)
+    return result
+
+
+def _say_windows(scene: Scene, simulation: Simulation, states: Sequence[State], say: Say) -> None:
+    """Say what is to be said of contacts that give way, also where the motion diverged."""
+    parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
+    if parts and states:
+        from mbd_ros.features.simulation.window_check import window_words
+
+        for text in window_words(simulation, parts, states):
+            say(text)
+
+
+def _ended(scene: Scene, result: Result, failure: MbdError) -> Result:
+    """The result of a simulation that ended early; raised unless Ctrl-C ended it."""
+    if not result[MAIN].rows:
+        raise type(failure)(f"{scene.name}: {failure}") from failure
+    result.metadata["ended"] = str(failure)
+    if isinstance(failure, _CtrlC):
+        return result
+    early = Interrupted(str(failure))
+    early.result = result
+    raise early from failure
+
+
+def _interval(scene: Scene, run: Run) -> float:
+    """Interval of the output [s]; no longer than the simulation."""
+    return min(float(run.options.get("dt", scene.dt)), run.duration)
+
+
+def _duration(run: Run, dt: float) -> float:
+    """That of the run, without a last interval that is too short to have a stamp of its own."""
+    count = math.floor(run.duration / dt + SAME_TIME)
+    is_sliver = SAME_TIME * dt < run.duration - count * dt < SHORTEST_DT
+    return count * dt if is_sliver else run.duration
+
+
+def _warn(text: str) -> None:
+    """Warn at once, while the run continues."""
+    erased = "\r\x1b[K" if sys.stderr.isatty() else ""  # the line of `progress`
+    sys.stderr.write(f"{erased}warning: {text}\n")
+    sys.stderr.flush()
+
+
+def _states(
+    simulation: Simulation, x: State, run: Run
+) -> "tuple[list[State], list[Residuals], list[Array | None], MbdError | None]":
+    """States, residuals and forces of contacts on the way to each, and why they end early."""
+    states: list[State] = []
+    residuals: list[Residuals] = []
+    forces: list[Array | None] = []
+    count = round(run.duration / simulation.dt)
+    duration = _duration(run, simulation.dt)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
+            every = simulation.run(x, duration, _warn)
+            for state in shown(every, count, "simulate"):
+                states.append(state)
+                if (worst := simulation.take_residuals()) is not None:
+                    residuals.append(worst)
+                    forces.append(simulation.stepper.forces)
+    except (DivergedError, SolveError) as error:
+        return states, residuals, forces, error
+    except KeyboardInterrupt:
+        if not states:
+            raise
+        return states, residuals, forces, _CtrlC(f"interrupted after t = {states[-1].t:.9g} s")
+    return states, residuals, forces, None
+
+
+def _with_residuals(table: Table, found: "list[Residuals]") -> tuple[Table, list[str]]:
+    """The table with residuals of contacts, if there are any, and a line on them."""
+    if not found:
+        return table, []
+    from mbd_ros.features.simulation.residuals import residual_line, with_residuals
+
+    return with_residuals(table, found), [residual_line(found)]

@@ -1,0 +1,75 @@
+""".npz: numpy's arrays in a zip file, every shape and bit, and a description as JSON."""
+
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any, BinaryIO, cast
+
+import numpy as np
+
+from mbd_ros.errors import DataError
+from mbd_ros.files.replacing import replacing
+from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.tables.description import column_of, describe, described
+
+_DESCRIPTION = "description.json"
+_LARGEST = 8_000_000_000  # bytes unpacked
+_CORRUPT = (
+    *(zipfile.BadZipFile, zlib.error, NotImplementedError, OSError, EOFError, ValueError),
+    *(KeyError, MemoryError, OverflowError, RuntimeError, TypeError, SyntaxError),
+)
+
+
+class Npz:
+    """Arrays `<table>/<column>` and the text `description.json`, a byte an element."""
+
+    content = "everything"
+    one_table = False
+
+    def holds(self, column: Column) -> bool:
+        """Always."""
+        return True
+
+    def write(self, path: Path, result: Result) -> None:
+        """Write all tables; equal results give equal files.
+
+        Raises:
+            DataError: Tables and columns whose names meet, or a place that cannot be written to.
+        """
+        arrays: dict[str, Any] = {
+            _DESCRIPTION: np.frombuffer(describe(result).encode(), dtype=np.uint8)
+        }
+        for name, table in result.tables.items():
+            for column, values in table.items():
+                key = f"{name}/{column}"
+                if key in arrays:
+                    raise DataError(f"{path}: two columns would be called {key}")
+                arrays[key] = values
+        with replacing(path) as file:
+            np.savez(cast(BinaryIO, file), allow_pickle=False, **arrays)
+
+    def read(self, path: Path) -> Result:
+        """What `write` wrote.
+
+        Raises:
+            DataError: Another file, or one that is cut or too large.
+        """
+        try:
+            with zipfile.ZipFile(path) as packed:
+                size = sum(member.file_size for member in packed.infolist())
+            if size > _LARGEST:
+                raise DataError(f"{path}: {size} bytes unpacked, accepted are {_LARGEST}")
+            with np.load(path, allow_pickle=False) as arrays:
+                text = arrays[_DESCRIPTION].tobytes()
+                tables, metadata = described(text, str(path))
+                return Result(
+                    {
+                        name: Table(column_of(e, arrays[f"{name}/{e['name']}"]) for e in entries)
+                        for name, entries in tables.items()
+                    },
+                    metadata,
+                )
+        except FileNotFoundError as error:
+            raise DataError(f"{path}: does not exist") from error
+        except _CORRUPT as error:
+            raise DataError(f"{path}: no result of mbd_ros, or corrupt ({error})") from error

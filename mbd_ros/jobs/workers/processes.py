@@ -1,0 +1,150 @@
+"""Tasks in processes of this machine; a process that dies costs its task, never the others."""
+
+import math
+import multiprocessing as mp
+import os
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
+from multiprocessing.connection import Connection, wait
+from typing import NamedTuple
+
+from mbd_ros.jobs.workers.task import Result, Task, cpu, do
+
+_ATTEMPTS = 2
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_CONTEXT = mp.get_context("spawn")  # a fork would inherit threads and their locks
+
+
+class _Job(NamedTuple):
+    task: Task
+    attempt: int
+    due: float  # time.monotonic
+
+
+class _Worker:
+    """A process that does one task after the other."""
+
+    def __init__(self) -> None:
+        self.connection, theirs = _CONTEXT.Pipe()
+        self.process = _CONTEXT.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.job: _Job | None = None
+
+    def start(self, job: _Job) -> None:
+        self.job = job
+        with suppress(OSError):  # a worker that died meanwhile is seen when its answer is awaited
+            self.connection.send(job.task)
+
+    def end(self) -> str:
+        """Kill the process; how it had ended before."""
+        self.process.join(0.0 if self.job is None else 1.0)
+        code = self.process.exitcode
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
+        if code is not None and code < 0:
+            return f"by {signal.Signals(-code).name}"
+        return f"with exit code {code}"
+
+
+class Processes:
+    """Does tasks in processes of this machine, for the length of a `with` block.
+
+    A task whose process dies is tried once more. The processes end with this one in every case.
+
+    Args:
+        count: How many work at the same time.
+    """
+
+    def __init__(self, count: int) -> None:
+        self.count = count
+        self._workers: list[_Worker] = []
+
+    def __enter__(self) -> "Processes":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for worker in self._workers:
+            worker.process.kill()
+        while self._workers:
+            worker = self._workers.pop()
+            worker.process.join()
+            worker.connection.close()
+
+    def cpu(self) -> str:
+        """Processor of this machine."""
+        return cpu()
+
+    def run(self, tasks: Sequence[Task], *, alone: bool) -> Iterator[tuple[Task, Result]]:
+        """Every task with its result, in the order in which they end; one at a time if alone."""
+        waiting = deque((task, 1) for task in tasks)
+        while waiting or self._busy():
+            while waiting and len(self._busy()) < (1 if alone else self.count):
+                task, attempt = waiting.popleft()
+                self._idle().start(_Job(task, attempt, time.monotonic() + task.limit))
+            for worker in self._settled():
+                job = worker.job
+                assert job is not None
+                result = self._answer(worker, job)
+                if result is not None:
+                    yield job.task, result
+                else:
+                    waiting.appendleft((job.task, job.attempt + 1))
+
+    def _busy(self) -> list[_Worker]:
+        return [worker for worker in self._workers if worker.job is not None]
+
+    def _idle(self) -> _Worker:
+        for worker in self._workers:
+            if worker.job is None:
+                return worker
+        self._workers.append(_Worker())
+        return self._workers[-1]
+
+    def _settled(self) -> list[_Worker]:
+        """Wait for those that answered, died, or are overdue."""
+        busy = self._busy()
+        due = min(worker.job.due for worker in busy if worker.job is not None)
+        left = None if math.isinf(due) else max(due - time.monotonic(), 0.0)
+        ready = wait([worker.connection for worker in busy], left)
+        now = time.monotonic()
+        return [w for w in busy if w.connection in ready or (w.job and w.job.due <= now)]
+
+    def _answer(self, worker: _Worker, job: _Job) -> Result | None:
+        """The result of a settled worker; None where the task is to be tried again."""
+        try:
+            if worker.connection.poll():
+                result: Result = worker.connection.recv()
+                worker.job = None
+                return result
+        except (EOFError, OSError):
+            self._workers.remove(worker)
+            how = worker.end()
+            if job.attempt < _ATTEMPTS:
+                return None
+            return Result(failure=f"its process ended {how}, {_ATTEMPTS} times")
+        self._workers.remove(worker)
+        worker.job = None
+        worker.end()
+        return Result(failure=f"no result within {job.task.limit:g} s")
+
+
+def _serve(connection: Connection) -> None:
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who started this
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    with suppress(EOFError, OSError):
+        while True:
+            connection.send(do(connection.recv()))
+
+
+def _end_with_parent() -> None:
+    parent = mp.parent_process()
+    assert parent is not None
+    wait([parent.sentinel])
+    os._exit(1)

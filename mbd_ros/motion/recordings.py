@@ -1,0 +1,256 @@
+"""Motions and wrenches from tables and bags: one meaning for both."""
+
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.kinematics.poses import with_steady_signs
+from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
+from mbd_ros.errors import DataError
+from mbd_ros.files.body_columns import ACCELERATION, POSE, TWIST, names_of
+from mbd_ros.files.formats import format_of, is_bag
+from mbd_ros.files.laboratory.storage_columns import (
+    REMARKS,
+    is_storage,
+    joint_columns,
+    other_labels,
+)
+from mbd_ros.files.recording import NO_BODIES, Recording
+from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.times import TIME, motion_stamps
+from msg_adapters.odometry import OFF_UNIT
+
+Source = str | Path | Result  # of a motion
+CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
+_WRENCHES = "wrenches"  # table of the plates of a .c3d
+_IN_MEMORY = "the result"
+_FROM_MARKERS = "kinematics"  # the job
+
+
+def read_motion(
+    source: Source,
+    joints: Sequence[str],
+    *,
+    topic: str = "/joint_states",
+    required: Collection[str] | None = None,
+    bodies: Mapping[str, str] = NO_BODIES,
+    members: Collection[str] = (),
+    sliding: Collection[str] = (),
+    assumed: Callable[[str], float] | None = None,
+) -> Recording:
+    """Samples of the joints and free bodies asked for; others in the file are ignored.
+
+    A bag message is dropped, and counted, if it is malformed, if a required joint lacks a finite
+    position, or if its stamp is not newer than all before it. Velocities and efforts that are not
+    finite are absent. One zero stamp makes all stamps those of the log. Joints of a named robot
+    and free bodies come on topics of their own; messages of one stamp make a sample, and what
+    lacks a part of it is dropped and counted.
+
+    Args:
+        source: A result, or a file of one, with columns `<joint>.position`, `.velocity`,
+            `.acceleration`, `.effort`, `.command`; or a bag, which has no accelerations and
+            commands.
+        joints: Names, in the order of the columns of the motion.
+        topic: JointState topic of a bag.
+        required: Joints whose position must be there; all without it. The others may be NaN.
+        bodies: Free bodies, whose pose must be there, and the link that stands for each.
+        members: Names of robots and bodies in front of those of their joints, see `topics`.
+        sliding: Joints that slide: of a .mot or .sto in degrees they are in metres.
+        assumed: Gives the position of a required joint that a storage of a laboratory lacks;
+            without it every required joint must be there.
+
+    Raises:
+        DataError: A file that cannot be read, a required joint that is nowhere in it, or nothing
+            usable on the topic.
+    """
+    needed = [name for name in joints if required is None or name in required]
+    if not isinstance(source, Result) and is_bag(source):
+        from mbd_ros.files.bags.bag_recordings import Wanted, bag_motion
+
+        wanted = Wanted(tuple(joints), tuple(needed), bodies, frozenset(members))
+        return bag_motion(Path(source), topic, wanted)
+    table, where, labels, remarks, of_laboratory = _samples(source, (), joints, sliding)
+    lacking: list[str] = []
+    if labels is not None and assumed is not None:
+        lacking = [name for name in needed if f"{name}.position" not in table]
+        table = Table([*table.columns, *(_constant(table, n, assumed(n)) for n in lacking)])
+    poses = [name for body in bodies for name in names_of(body, POSE)]
+    _check_columns(table, where, [*(f"{name}.position" for name in needed), *poses])
+    position, velocity, acceleration, effort, command = (
+        _columns(table, [f"{name}.{field}" for name in joints])
+        for field in ("position", "velocity", "acceleration", "effort", "command")
+    )
+    if position is None:
+        position = np.full((table.rows, len(joints)), np.nan)
+    fields = position, velocity, acceleration, effort, command
+    moving = tuple(_body(table, where, name) for name in bodies)
+    motion = Motion(tuple(joints), motion_stamps(table, where), *fields, moving)
+    return Recording(motion, Counter(), False, tuple(lacking), labels, remarks, of_laboratory)
+
+
+class _Samples(NamedTuple):
+    """What is read of a source.
+
+    Attributes:
+        table: Its samples.
+        where: Its name.
+        unused: Labels of a storage that are of no joint; None of other sources.
+        remarks: What is odd about a storage.
+        of_laboratory: As of a `Recording`.
+    """
+
+    table: Table
+    where: str
+    unused: tuple[str, ...] | None = None
+    remarks: tuple[str, ...] = ()
+    of_laboratory: bool = False
+
+
+def _constant(table: Table, joint: str, position: float) -> Column:
+    return Column(f"{joint}.position", np.full(table.rows, position))
+
+
+def _body(table: Table, where: str, name: str) -> BodyMotion:
+    """Motion of a free body; its pose is there."""
+    pose, twist, acceleration = (
+        _columns(table, names_of(name, words)) for words in (POSE, TWIST, ACCELERATION)
+    )
+    assert pose is not None
+    with np.errstate(over="ignore"):
+        length = np.linalg.norm(pose[:, 3:], axis=1)
+    lost = np.flatnonzero(~(np.abs(length - 1.0) <= OFF_UNIT))
+    if len(lost):
+        raise DataError(
+            f"{where}: {name}.orientation at {table[TIME][lost[0]]:.9g} s has the length "
+            f"{length[lost[0]]:.3g}, a quaternion has 1"
+        )
+    return BodyMotion(name, with_steady_signs(pose), twist, acceleration)
+
+
+def read_columns(
+    source: Source, names: Sequence[str], joints: Sequence[str] = (), sliding: Collection[str] = ()
+) -> Array | None:
+    """Columns of the samples by name, shape (n, len(names)), NaN where there is none.
+
+    Args:
+        source: As for `read_motion`.
+        names: Of the columns.
+        joints: Those that a storage may name by its own labels.
+        sliding: Those of them that slide.
+
+    Returns:
+        None where the source has none of them; a bag has none.
+    """
+    if not names or (not isinstance(source, Result) and is_bag(source)):
+        return None
+    return _columns(_samples(source, (), joints, sliding).table, list(names))
+
+
+def name_of(source: Source) -> str:
+    """What messages call a source."""
+    return _IN_MEMORY if isinstance(source, Result) else str(source)
+
+
+def _samples(
+    source: Source,
+    may_lack: Collection[str],
+    joints: Sequence[str] = (),
+    sliding: Collection[str] = (),
+    prefers: str = MAIN,
+) -> _Samples:
+    """Table `samples` of a result or file, and what is said of it.
+
+    Args:
+        source: Result or file.
+        may_lack: Columns of a .csv that may hold nan.
+        joints: Those that a storage may name by its own labels.
+        sliding: Those of them that slide.
+        prefers: Table that is read in place of `samples` where there is one of that name.
+    """
+    where = name_of(source)
+    if not isinstance(source, Result):
+        path, chosen = Path(source), format_of(source)
+        options = {"nan_allowed": may_lack.__contains__} if path.name.endswith(CSV) else {}
+        source = chosen.read(path, **options)
+    if MAIN not in source:
+        raise DataError(f"{where}: no table {MAIN}; there are: {', '.join(source) or 'none'}")
+    table = source[prefers if prefers in source else MAIN]
+    _check_columns(table, where, [TIME])
+    if not table.rows:
+        raise DataError(f"{where}: table {MAIN} has no row")
+    if not is_storage(source):
+        return _Samples(table, where, of_laboratory=source.metadata.get("job") == _FROM_MARKERS)
+    unused, remarks = tuple(other_labels(table, joints)), tuple(source.metadata[REMARKS])
+    table = joint_columns(source, table, where, joints, sliding)
+    return _Samples(table, where, unused, remarks, of_laboratory=True)
+
+
+def _check_columns(table: Table, where: str, names: Iterable[str]) -> None:
+    """Raise DataError that lists the columns of numbers a table lacks, and those it has."""
+    lacking = [name for name in names if not _is_plain(table, name)]
+    if lacking:
+        there = ", ".join(name for name in table if _is_plain(table, name))
+        raise DataError(f"{where}: no column {', '.join(lacking)}; there are: {there}")
+
+
+def _is_plain(table: Table, name: str) -> bool:
+    return name in table and table[name].ndim == 1 and table[name].dtype.kind in "fiu"
+
+
+def _columns(table: Table, names: list[str]) -> Array | None:
+    """The named columns, NaN where the table has none; None where it has none of them."""
+    there = [name for name in names if _is_plain(table, name)]
+    if not there:
+        return None
+    values = np.full((table.rows, len(names)), np.nan)
+    for name in there:
+        values[:, names.index(name)] = table[name]
+    return values
+
+
+def read_wrenches(
+    source: Source, names: Mapping[str, str | None], *, dropped: Counter[str] | None = None
+) -> dict[str, WrenchSamples]:
+    """Measured wrench of every load, about the origin of the frame it is given in.
+
+    In a table, columns `<name>.point.{x,y,z}` make the force act there: the torque about the
+    origin is torque + point x force. A point may be `nan`, which counts where there is force.
+
+    Args:
+        source: A result, or a file of one, with columns `<name>.force.{x,y,z}` [N],
+            `<name>.torque.{x,y,z}` [N·m], and perhaps `<name>.point.{x,y,z}` [m]; or a bag.
+        names: Loads, each with its WrenchStamped topic, which only a bag needs.
+        dropped: Messages of a bag that are left out are counted here by reason: not finite, or
+            not newer than all before them.
+
+    Raises:
+        DataError: A file that cannot be read, a missing column or topic, or nothing usable on it.
+    """
+    if not names:
+        return {}
+    if not isinstance(source, Result) and is_bag(source):
+        from mbd_ros.files.bags.bag_recordings import bag_wrenches
+
+        return bag_wrenches(Path(source), names, Counter() if dropped is None else dropped)
+    points = {f"{name}.point.{axis}" for name in names for axis in "xyz"}
+    table, where, *_ = _samples(source, points, prefers=_WRENCHES)
+    stamps = motion_stamps(table, where)
+    return {name: WrenchSamples(stamps, _wrench(table, where, name)) for name in names}
+
+
+def _wrench(table: Table, where: str, name: str) -> Array:
+    fields = ["force", "torque"]
+    if any(column.startswith(f"{name}.point.") for column in table):
+        fields.append("point")
+    columns = [f"{name}.{field}.{axis}" for field in fields for axis in "xyz"]
+    _check_columns(table, where, columns)
+    values = np.column_stack([table[column] for column in columns])
+    if len(fields) == 2:
+        return values
+    force, torque, point = values[:, :3], values[:, 3:6], values[:, 6:]
+    pushed = (force != 0).any(axis=1)
+    torque[pushed] += np.cross(point[pushed], force[pushed])
+    return values[:, :6]

@@ -1,0 +1,64 @@
+"""Node `muscle_forces`: joint states and wrenches in, forces of muscles and joint loads out."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from geometry_msgs.msg import WrenchStamped
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64MultiArray
+
+from mbd_ros.core.inverse_dynamics.torque_estimator import Observation
+from mbd_ros.nodes.inverse_dynamics.muscle_forces.parameters import PARAMETERS
+from mbd_ros.nodes.inverse_dynamics.muscle_forces.pipeline import MusclePipeline
+from mbd_ros.nodes.inverse_dynamics.node import InverseDynamicsNode
+from mbd_ros.nodes.shell.joint_state_node import SENSOR
+from msg_adapters.errors import MessageError
+
+DEPTH = 100  # a reader may be away for 0.1 s at 1 kHz
+
+
+class MuscleForcesNode(InverseDynamicsNode):
+    """Answers every joint state with the forces of muscles that explain the motion."""
+
+    NAME = "muscle_forces"
+    PARAMETERS = PARAMETERS
+    _pipeline: MusclePipeline
+
+    def build(self, description: str | None) -> None:
+        """Build the scene."""
+        self._pipeline = MusclePipeline(self.parameters, description)
+
+    def open_outputs(self) -> None:
+        """Topics of muscles, reserves and loads of joints; measured activations."""
+        self._forces = self.publish_to(JointState, "~/muscle_forces", DEPTH)
+        self._activations = self.publish_to(Float64MultiArray, "~/activations", DEPTH)
+        self._reserves = self.publish_to(JointState, "~/reserve_forces", DEPTH)
+        self._loads = [
+            self.publish_to(WrenchStamped, f"~/joint_loads/{link}", DEPTH)
+            for link in self._pipeline.links
+        ]
+        if self.parameters.emg_use != "none":
+            self.subscribe(Float64MultiArray, "~/emg", self._on_emg, SENSOR)
+
+    def publish_answer(self, x: Observation, wrenches: Sequence[Any]) -> bool:
+        """Share and publish; False where what the motion needs is not finite.
+
+        Raises:
+            SolveError: Muscles and reserves cannot produce the motion.
+        """
+        answer = self._pipeline.share(x, wrenches)
+        if answer is None:
+            return False
+        self._forces.publish(answer.forces)
+        self._activations.publish(answer.activations)
+        if answer.reserves is not None:
+            self._reserves.publish(answer.reserves)
+        for publisher, load in zip(self._loads, answer.loads, strict=True):
+            publisher.publish(load)
+        return True
+
+    def _on_emg(self, msg: Any) -> None:
+        try:
+            self._pipeline.measured.take(msg)
+        except MessageError as error:
+            self.drop("emg", f"emg: {error}")

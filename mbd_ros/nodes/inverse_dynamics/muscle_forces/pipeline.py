@@ -1,0 +1,139 @@
+"""A built scene with muscles between messages: from a joint state to forces of muscles."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from time import monotonic
+from typing import Any, NamedTuple
+
+from geometry_msgs.msg import WrenchStamped
+
+from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
+from mbd_ros.core.inverse_dynamics.torques import SampleSolver
+from mbd_ros.core.state import NANOSECOND
+from mbd_ros.errors import MbdError
+from mbd_ros.features.muscles.task import muscles_task
+from mbd_ros.nodes.inverse_dynamics.muscle_forces.live_sharing import LiveSharing
+from mbd_ros.nodes.inverse_dynamics.muscle_forces.measured import MeasuredActivations
+from mbd_ros.nodes.inverse_dynamics.muscle_forces.parameters import options, tuning
+from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
+from mbd_ros.scene.describe.coordinate_names import coordinate_names
+from msg_adapters.diagnostics import OK
+from msg_adapters.joint_state_cdr import JointStateCdrWriter
+from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.wrench import write_wrench
+
+
+class MuscleAnswer(NamedTuple):
+    """Messages for one joint state.
+
+    Attributes:
+        forces: JointState of muscles: position = length, velocity = its rate, effort = tension.
+        activations: Float64MultiArray whose labels are muscles.
+        reserves: JointState of reserves, effort = force; None without any.
+        loads: WrenchStamped of each link.
+    """
+
+    forces: bytes
+    activations: bytes
+    reserves: bytes | None
+    loads: list[Any]
+
+
+class MusclePipeline(Pipeline):
+    """Scene and solver of a configured node `muscle_forces`.
+
+    Args:
+        values: Parameters of the node.
+        description: URDF, where the scene takes it from a topic.
+
+    Attributes:
+        links: Names for topics of the loads of joints.
+        measured: Activations that were measured.
+    """
+
+    def __init__(self, values: Any, description: str | None) -> None:
+        super().__init__(values, description)
+        scene = self.scene
+        if self.whole is not None:
+            raise MbdError(f"{scene.name}: muscle forces live: one fixed robot, no free bodies")
+        asked = muscles_task(scene, options(values), f"{scene.name}: muscles")
+        use = values.emg_use
+        wishes = asked.wishes._replace(
+            tracking=values.emg_weight if use == "track" else 0.0,
+            measured_is_least=use == "least",
+        )
+        optimization = replace(asked, wishes=wishes).solver(scene, is_live=True)
+        loads = asked.loads(scene)
+        names = coordinate_names(scene.robot, scene.couplings)
+        self._sharing = self._solver = LiveSharing(optimization, loads, names)
+        self.estimator = TorqueEstimator(scene.robot, self._sharing, tuning(values))
+        muscles = [muscle.name for muscle in optimization.muscles]
+        reserves = [reserve.name for reserve in optimization.reserves]
+        self.measured = MeasuredActivations(muscles, values.emg_max_age, monotonic)
+        self._muscle_forces = JointStateCdrWriter(muscles)
+        self._activations = MultiArrayCdrWriter(len(muscles), muscles)
+        self._reserves = JointStateCdrWriter(reserves, ("effort",)) if reserves else None
+        joined = () if loads is None else loads.joined
+        self.links = [one.link for one in joined]
+        axes = {"child": "link", "parent": "parent_link"}
+        attribute = axes.get(values.reactions)
+        self._frames = ["world" if attribute is None else getattr(j, attribute) for j in joined]
+        self._loads = [WrenchStamped() for _ in joined]
+
+    def make_solver(self, values: Any) -> SampleSolver:
+        """Torques of joints, which come before those of muscles."""
+        return self.scene.inverse_dynamics()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        super().reset()
+        self._sharing.forget()
+        self.measured.clear()
+
+    def share(self, x: Observation, wrenches: Sequence[Any]) -> MuscleAnswer | None:
+        """Messages for an observation; None if what it needs is not finite.
+
+        Args:
+            x: The observation.
+            wrenches: One (6,) array for every load of the scene.
+
+        Raises:
+            SolveError: Muscles and reserves cannot produce the motion.
+        """
+        sharing = self._sharing
+        sharing.time, sharing.measured = x.stamp * NANOSECOND, self.measured.now()
+        if self.estimator.solve(x, wrenches) is None:
+            return None
+        self._violation = self.estimator.violation(x)
+        shares: Any = sharing.shares
+        frames = shares.frames
+        forces = self._muscle_forces.write(
+            x.stamp, position=frames.length[0], velocity=frames.speed[0], effort=shares.force[0]
+        )
+        activations = self._activations.write(shares.activation[0].tolist())
+        reserves = None
+        if self._reserves is not None:
+            reserves = self._reserves.write(x.stamp, effort=shares.reserve[0])
+        rows: Any = () if sharing.loads is None else sharing.loads
+        loads = [
+            write_wrench(msg, x.stamp, frame, row)
+            for msg, frame, row in zip(self._loads, self._frames, rows, strict=True)
+        ]
+        return MuscleAnswer(forces, activations, reserves, loads)
+
+    def health(self, tolerance: float) -> tuple[int, str]:
+        """As that of inverse dynamics."""
+        level, text = super().health(tolerance)
+        return (level, "muscle forces published") if level == OK else (level, text)
+
+    def details(self) -> dict[str, str]:
+        """Contents and origin of the numbers, for diagnostics."""
+        asked = self._sharing.optimization
+        criterion = asked.wishes.criterion
+        return {
+            **super().details(),
+            "muscles": f"{len(asked.muscles)}, {len(asked.reserves)} reserves",
+            "shared by": f"{criterion.kind}, exponent {criterion.exponent:g}",
+            "passive force": "takes part" if asked.wishes.passive else "left out",
+            **self._sharing.details(),
+        }

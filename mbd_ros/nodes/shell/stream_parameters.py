@@ -1,0 +1,97 @@
+"""Parameters of the node `inverse_dynamics`."""
+
+from typing import Any
+
+from mbd_ros.core.inverse_dynamics.standing import Nearness
+from mbd_ros.core.inverse_dynamics.torque_estimator import Tuning
+from mbd_ros.nodes.shell.constructor_parameters import of
+from mbd_ros.nodes.shell.parameters import Parameter
+
+
+def tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:
+    """A number that may change while the node runs."""
+    return Parameter(name, type(default), text, default, low=low, high=high, read_only=False)
+
+
+ALLOW_CODE = Parameter(
+    "allow_code",
+    bool,
+    "Import what is named as package.module:Class: code of others runs in this node.",
+    False,
+    fixed=True,
+)
+STREAM = (
+    Parameter("scene", str, "Scene: a file, or the name of an embedded one."),
+    ALLOW_CODE,
+    *of(Tuning, {name: name for name in Tuning._fields}, read_only=False),
+    tunable(
+        "timeout", 0.5, 1e-3, 3600.0, "Age of the newest joint state that is reported STALE [s]."
+    ),
+    tunable(
+        "clock_tolerance",
+        5.0,
+        1e-3,
+        1e10,
+        "Difference of stamp and node clock from which they count as two clocks [s].",
+    ),
+    tunable(
+        "coupling_tolerance",
+        0.05,
+        0.0,
+        100.0,
+        "Distance of a measured dependent joint from its coupling that is reported [rad, m].",
+    ),
+    tunable(
+        "wrench_wait",
+        0.01,
+        0.0,
+        10.0,
+        "How long a joint state waits for the wrenches of its stamp [s].",
+    ),
+    Parameter(
+        "wrench_max_age",
+        float,
+        "How long the newest wrench stands for later joint states [s].",
+        0.1,
+        low=0.0,
+        high=60.0,
+    ),
+)
+PARAMETERS = (
+    *STREAM,
+    Parameter("power", bool, "Publish powers and their balance on ~/power.", False),
+    Parameter(
+        "stance",
+        str,
+        "Forces of rigid contacts that no wrench gives: 0, or unknowns with the least efforts.",
+        "none",
+        choices=("none", "minimum-norm"),
+    ),
+    Parameter(
+        "phase_topic",
+        str,
+        "Topic of the name of the phase, whose contacts are on the ground; empty for geometry.",
+        "",
+    ),
+    Parameter(
+        "stance_gap",
+        float,
+        "Largest gap of what is on the ground, as a multiple of the size [-].",
+        Nearness().gap,
+        low=0.0,
+        high=1.0,
+    ),
+    Parameter(
+        "stance_speed",
+        float,
+        "Largest speed of it along the normal, of the root of gravity times size [-].",
+        Nearness().speed,
+        low=0.0,
+        high=100.0,
+    ),
+)
+
+
+def tuning(values: Any) -> Tuning:
+    """The part of the parameters that tunes the estimator."""
+    return Tuning(*(getattr(values, field) for field in Tuning._fields))

@@ -1,0 +1,76 @@
+"""Node `digital_twin`: a few measurements of a machine in, all of it out, with alarms."""
+
+from typing import Any
+
+from geometry_msgs.msg import WrenchStamped
+from std_msgs.msg import Float64MultiArray
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
+
+from mbd_ros.errors import MbdError
+from mbd_ros.nodes.state_estimator.digital_twin.parameters import PARAMETERS
+from mbd_ros.nodes.state_estimator.digital_twin.pipeline import TwinPipeline
+from mbd_ros.nodes.state_estimator.messages import EstimateMessages
+from mbd_ros.nodes.state_estimator.node import DEPTH, StateEstimatorNode
+from msg_adapters.time import write_time
+
+_NS = 1_000_000_000  # ns in a second
+
+
+class DigitalTwinNode(StateEstimatorNode):
+    """Answers every measurement with the state of the whole machine, and its reactions."""
+
+    NAME = "digital_twin"
+    PARAMETERS = PARAMETERS
+    _pipeline: TwinPipeline
+
+    def __init__(self, argv: Any = ()) -> None:
+        super().__init__(argv)
+        self.create_service(Trigger, "~/predict", self._on_predict)
+
+    def build(self, description: str | None) -> None:
+        """Build the scene."""
+        self._pipeline = TwinPipeline(self.parameters, description)
+        self._failures = 0
+
+    def configure_core(self) -> None:
+        """Build the scene and its topics."""
+        super().configure_core()
+        self._determination = self.publish_to(Float64MultiArray, "~/determination", DEPTH)
+        self._prediction = self.publish_to(JointTrajectory, "~/prediction", 1)
+        self._reactions = {
+            name: self.publish_to(WrenchStamped, f"~/reactions/{name}", DEPTH)
+            for name in self._pipeline.reactions
+        }
+
+    def publish_answer(self, answer: EstimateMessages) -> None:
+        """Send what was estimated."""
+        super().publish_answer(answer)
+        more = self._pipeline.more(answer.stamp)
+        self._determination.publish(more.determination)
+        for name, message in more.reactions.items():
+            self._reactions[name].publish(message)
+
+    def _on_predict(self, request: Any, response: Any) -> Any:
+        response.success = False
+        if not self.active or self._pipeline.tracker is None:
+            response.message = "nothing is estimated yet"
+            return response
+        values = self.parameters
+        try:
+            found = self._pipeline.predicted(values.horizon, values.prediction_step)
+        except MbdError as error:
+            response.message = str(error)
+            return response
+        stamp, times, q, v = found
+        message = JointTrajectory()
+        write_time(message.header.stamp, stamp)
+        message.joint_names = [joint.name for joint in self._pipeline.scene.robot.joints]
+        for t, position, velocity in zip(times.tolist(), q.tolist(), v.tolist(), strict=True):
+            point = JointTrajectoryPoint(positions=position, velocities=velocity)
+            whole = round(t * _NS)
+            point.time_from_start.sec, point.time_from_start.nanosec = divmod(whole, _NS)
+            message.points.append(point)
+        self._prediction.publish(message)
+        response.success, response.message = True, f"{len(times)} points on ~/prediction"
+        return response

@@ -1,0 +1,228 @@
+"""The equations of a phase at points, over intervals and at their ends, as forms of a program.
+
+Over an interval of width h, with points k and neighbours 0 and 1:
+
+    x_j = x_0 + h sum_k A_jk x'_k,   x_1 = x_0 + h sum_k b_k x'_k + shift
+
+Rows of positions and velocities are closed again at every end: the shifts are J' times multipliers
+that vanish with the error of the method. Configurations of free bodies are x_0 (+) d with a step d
+in the tangent, whose rate is that of `core.dynamics.chart`.
+"""
+
+from functools import cache, cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.symbols.curved import CurvedChart
+from mbd_ros.core.state import Array
+from mbd_ros.optimal_control.collocation import Collocation
+from mbd_ros.optimal_control.mesh import Numbers
+from mbd_ros.optimal_control.phase_equations import LETTERS, PhaseEquations
+from mbd_ros.optimal_control.program_block import Block, Form, Places
+from mbd_ros.optimal_control.unknowns import BODY, Unknowns
+
+COLLOCATION, BODIES, CLOSING, MOTION = "collocation", "bodies", "closing", "motion"  # blocks
+_BASE_Q, _BASE_V = 7, 6
+_AT_POINTS = "awul"  # what is unknown at points alone
+
+
+class PhaseForms:
+    """Forms of a phase, made once for all meshes.
+
+    Args:
+        phase: Its equations.
+        parameters: Numbers of the parameters among the unknowns.
+    """
+
+    def __init__(self, phase: PhaseEquations, parameters: Numbers) -> None:
+        self.phase, self._p = phase, parameters
+        self.begin, self.duration, self.share = (ca.SX.sym(name) for name in ("b", "T", "s"))
+        self._time = self.begin + self.duration * self.share
+        self._dynamics = self.point_form(phase.residual)
+
+    def blocks(self, unknowns: Unknowns, sizes: Array, rows: Array) -> list[Block]:
+        """All equations of motion on a mesh.
+
+        Args:
+            unknowns: Where the unknowns stand.
+            sizes: Their usual sizes.
+            rows: Usual sizes of the equations at a point.
+        """
+        found = [self._points(unknowns, rows), *self._intervals(unknowns, sizes)]
+        found += self._curved(unknowns)
+        if self.phase.sizes.m:
+            found += self._closed(unknowns)
+        return found
+
+    def point_form(self, rows: Any, cost: Any = None, data: Any = None, more: Any = None) -> Form:
+        """A form of expressions of `PhaseEquations.symbols` at points.
+
+        Args:
+            rows: Its rows.
+            cost: Its cost; None for nothing.
+            data: Symbols of what is known at a point, besides its share of the duration.
+            more: Symbols of unknowns besides those of `point_places`.
+        """
+        symbols = self.phase.symbols
+        given = [*(symbols[key] for key in LETTERS), self.begin, self.duration, symbols["p"]]
+        given += [] if more is None else [more]
+        known = self.share if data is None else ca.vertcat(self.share, data)
+        return self._form(ca.vertcat(*given), known, rows, cost)
+
+    def point_places(self, unknowns: Unknowns) -> Places:
+        """Unknowns of a form at points, shape (.., m)."""
+        m = len(unknowns.points["q"])
+        shared = [unknowns.begin, unknowns.duration, *self._p]
+        own = np.hstack([unknowns.points[key] for key in LETTERS])
+        return np.vstack((own.T, np.repeat(np.array(shared)[:, None], m, axis=1)))
+
+    def node_form(self, rows: Any, cost: Any = None, more: Any = None) -> Form:
+        """A form of expressions of t, q, v, z, p and more, at ends of intervals; data: share."""
+        symbols = self.phase.symbols
+        given = [*(symbols[key] for key in "qvz"), self.begin, self.duration, symbols["p"]]
+        given += [] if more is None else [more]
+        return self._form(ca.vertcat(*given), self.share, rows, cost)
+
+    def node_places(self, unknowns: Unknowns, nodes: Numbers) -> Places:
+        """Unknowns of a form at some ends of intervals, shape (.., len(nodes))."""
+        shared = np.array([unknowns.begin, unknowns.duration, *self._p], dtype=np.intp)
+        return np.vstack((unknowns.state[nodes].T, np.repeat(shared[:, None], len(nodes), axis=1)))
+
+    def last_form(self, scheme: Collocation, cost: Any) -> Form:
+        """A cost of all letters at the end, with forces as polynomials of the last interval."""
+        symbols, at_end = self.phase.symbols, ca.DM(scheme.values(np.ones(1)).T)
+        points = {key: ca.SX.sym(key, symbols[key].numel(), scheme.degree) for key in _AT_POINTS}
+        own, ends = [symbols[key] for key in points], [one @ at_end for one in points.values()]
+        (cost,) = ca.substitute([ca.SX(cost)], own, ends)
+        more = ca.vertcat(*(ca.vec(one) for one in points.values()))
+        return self.node_form(ca.SX(0, 1), cost, more)
+
+    def last_places(self, unknowns: Unknowns) -> Places:
+        """Unknowns of `last_form`, one column."""
+        own = self.node_places(unknowns, np.array([unknowns.mesh.intervals]))
+        degree = int(unknowns.mesh.degrees[-1])
+        points = (unknowns.points[key][-degree:].reshape(-1, 1) for key in _AT_POINTS)
+        return np.vstack((own, *points))
+
+    def _form(self, unknowns: Any, data: Any, rows: Any, cost: Any = None) -> Form:
+        both = [ca.SX(rows), ca.SX(0) if cost is None else ca.SX(cost)]
+        g, f = ca.substitute(both, [self.phase.symbols["t"]], [self._time])
+        return Form(unknowns, data, g, None if cost is None else f)
+
+    def _points(self, unknowns: Unknowns, rows: Array) -> Block:
+        places, shares = self.point_places(unknowns), unknowns.mesh.shares[None, :]
+        return Block(MOTION, self._dynamics, places, shares, size=rows)
+
+    def _intervals(self, unknowns: Unknowns, sizes: Array) -> list[Block]:
+        found = []
+        for degree in np.unique(unknowns.mesh.degrees).tolist():
+            scheme = unknowns.mesh.scheme_of(degree)
+            for shifted in (True, False):
+                places = self._flat_places(unknowns, degree, shifted=shifted)
+                size = np.repeat(sizes[places[:1]], degree + 1, axis=0)
+                form = interval_form(scheme, has_shifts=shifted and unknowns.sizes.m > 0)
+                found.append(Block(COLLOCATION, form, places, size=size))
+        return found
+
+    def _flat_places(self, unknowns: Unknowns, degree: int, *, shifted: bool) -> Places:
+        """Of `interval_form`, one column a coordinate and interval: q and v, or z."""
+        mesh, (q, v) = unknowns.mesh, self.phase.flat.T
+        nodes, points = unknowns.nodes, unknowns.points
+        first, last, rate = nodes["z"], points["z"], points["w"]
+        if shifted:
+            first = np.hstack((nodes["q"][:, q], nodes["v"]))
+            last = np.hstack((points["q"][:, q], points["v"]))
+            rate = np.hstack((points["v"][:, v], points["a"]))
+        chosen = np.flatnonzero(mesh.degrees == degree)
+        at = mesh.first_points[chosen][:, None] + np.arange(degree)
+        n, width = first.shape[1], unknowns.widths[chosen]
+        shared = np.stack((np.full_like(width, unknowns.duration), width), axis=1)
+        parts = [
+            *(first[chosen][:, None], last[at], rate[at], first[chosen + 1][:, None]),
+            np.repeat(shared[:, :, None], n, axis=2),
+        ]
+        if shifted and unknowns.sizes.m:
+            own = unknowns.shifts[chosen]
+            parts.append(np.hstack((own[:, v], own[:, unknowns.sizes.nv :]))[:, None])
+        whole = np.concatenate(parts, axis=1)  # interval, unknown, coordinate
+        return whole.transpose(1, 0, 2).reshape(whole.shape[1], -1)
+
+    def _curved(self, unknowns: Unknowns) -> list[Block]:
+        """Free bodies on intervals: one column an interval."""
+        mesh, count = unknowns.mesh, int(unknowns.mesh.degrees.sum())
+        found = []
+        for degree in np.unique(mesh.degrees).tolist():
+            chosen = np.flatnonzero(mesh.degrees == degree)
+            at = mesh.first_points[chosen][:, None] + np.arange(degree)
+            shared = np.stack(
+                (np.full(len(chosen), unknowns.duration), unknowns.widths[chosen]), axis=1
+            )
+            for i, (q, v) in enumerate(unknowns.sizes.bases):
+                q_of, v_of = np.arange(q, q + _BASE_Q), np.arange(v, v + _BASE_V)
+                own = unknowns.steps[:, 6 * i : 6 * i + 6]
+                poses, nodes = unknowns.points["q"][:, q_of], unknowns.nodes["q"][:, q_of]
+                speeds = unknowns.points["v"][:, v_of]
+                parts = [nodes[chosen], *(_flattened(one[at]) for one in (speeds, own, poses))]
+                parts += [own[count + chosen], nodes[chosen + 1], shared]
+                if unknowns.sizes.m:
+                    parts.append(unknowns.shifts[chosen][:, v_of])
+                form = body_form(mesh.scheme_of(degree), has_shifts=unknowns.sizes.m > 0)
+                found.append(Block(BODIES, form, np.hstack(parts).T))
+        return found
+
+    def _closed(self, unknowns: Unknowns) -> list[Block]:
+        """Rows at ends of intervals, and the shifts that close them."""
+        later = np.arange(1, unknowns.mesh.intervals + 1)
+        own = self.node_places(unknowns, later)
+        places = np.vstack((own, unknowns.shifts.T, unknowns.pulls.T))
+        return [Block(CLOSING, self._closing, places, unknowns.mesh.knots[None, 1:])]
+
+    @cached_property
+    def _closing(self) -> Form:
+        """G = 0, g' = 0, and shifts along J' of as many multipliers."""
+        phase, sizes = self.phase, self.phase.sizes
+        shifts = ca.SX.sym("e", 2 * sizes.nv)
+        of_positions, of_all = (ca.SX.sym("k", count) for count in (sizes.mg, sizes.mk))
+        J_of_positions, J_of_all = phase.jacobians
+        along = ca.vertcat(J_of_positions.T @ of_positions, J_of_all.T @ of_all)
+        rows = ca.vertcat(phase.positions, phase.velocities, shifts - along)
+        return self.node_form(rows, more=ca.vertcat(shifts, of_positions, of_all))
+
+
+def _flattened(places: Places) -> Places:
+    return places.reshape(len(places), -1)
+
+
+@cache
+def interval_form(scheme: Collocation, *, has_shifts: bool) -> Form:
+    """One coordinate over one interval: x_0, x_k, x'_k, x_1, duration, share, and the shift."""
+    d = scheme.degree
+    x0, x1, T, w, shift = (ca.SX.sym(name) for name in ("x0", "x1", "T", "w", "e"))
+    x, rates = ca.SX.sym("x", d), ca.SX.sym("r", d)
+    h = T * w
+    inside = x - x0 - h * (ca.DM(scheme.A) @ rates)
+    end = x1 - x0 - h * (ca.DM(scheme.b[None, :]) @ rates)
+    given = [x0, x, rates, x1, T, w]
+    if has_shifts:
+        end, given = end - shift, [*given, shift]
+    return Form(ca.vertcat(*given), ca.SX(0, 1), ca.vertcat(inside, end))
+
+
+@cache
+def body_form(scheme: Collocation, *, has_shifts: bool) -> Form:
+    """One free body over one interval: q_0, v_k, d_k, q_k, d_1, q_1, duration, share, shift."""
+    d, chart = scheme.degree, CurvedChart(BODY.model)
+    q0, q1 = ca.SX.sym("q0", _BASE_Q), ca.SX.sym("q1", _BASE_Q)
+    v, steps = ca.SX.sym("v", _BASE_V, d), ca.SX.sym("d", _BASE_V, d)
+    q, last = ca.SX.sym("q", _BASE_Q, d), ca.SX.sym("d1", _BASE_V)
+    T, w, shift = ca.SX.sym("T"), ca.SX.sym("w"), ca.SX.sym("e", _BASE_V if has_shifts else 0)
+    rates = ca.horzcat(*(chart.rate(steps[:, k], v[:, k]) for k in range(d)))
+    inside = steps - T * w * (rates @ ca.DM(scheme.A).T)
+    end = last - T * w * (rates @ ca.DM(scheme.b[:, None]))
+    end = end - shift if has_shifts else end
+    poses = q - ca.horzcat(*(chart.integrate(q0, steps[:, k]) for k in range(d)))
+    rows = [ca.vec(inside), ca.vec(poses), end, q1 - chart.integrate(q0, last)]
+    given = [q0, ca.vec(v), ca.vec(steps), ca.vec(q), last, q1, T, w, shift]
+    return Form(ca.vertcat(*given), ca.SX(0, 1), ca.vertcat(*rows))

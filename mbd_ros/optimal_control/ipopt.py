@@ -1,0 +1,197 @@
+"""A sparse program solved by IPOPT, from a point, with its last iterate kept whatever happens.
+
+Source: A. Waechter, L. T. Biegler, On the implementation of an interior-point filter line-search
+algorithm for large-scale nonlinear programming, Mathematical Programming 106, 2006.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.optimal_control.sparse_program import SparseProgram
+
+STOPPED = "User_Requested_Stop"
+_GOOD = ("Solve_Succeeded", "Solved_To_Acceptable_Level", "Feasible_Point_Found")
+_WARM = {
+    "mu_strategy": "adaptive",
+    "mu_init": 1.0e-7,
+    "bound_push": 1.0e-4,  # nearer to a bound, where it no longer acts, steps are short
+    "bound_frac": 1.0e-4,
+    "bound_mult_init_method": "mu-based",
+}
+# of programs whose slopes jump: it ends where the cost no longer changes, though the slope of the
+# Lagrangian does
+KINKED: Mapping[str, Any] = {
+    "mumps_pivot_order": 4,  # PORD: a third less time for long chains of many unknowns
+    "acceptable_iter": 3,
+    "acceptable_tol": 1.0e-2,
+    "acceptable_constr_viol_tol": 1.0e-6,
+    "acceptable_dual_inf_tol": 1.0e3,
+    "acceptable_compl_inf_tol": 1.0e-7,
+    "acceptable_obj_change_tol": 1.0e-8,
+}
+# of programs whose slopes jump in the midst of a motion: a barrier is lowered before its own least
+# cost is found, which may be where a slope jumps, so that steps go to and fro there
+PIECEWISE: Mapping[str, Any] = {"barrier_tol_factor": 1.0e3}
+_NO_OPTIONS: Mapping[str, Any] = {}
+Progress = Callable[[], tuple[float, float]]  # cost and violation
+Tell = Callable[[int, Progress], bool]  # number of the iteration; whether to stop
+
+
+class Solved(NamedTuple):
+    """What a solver leaves.
+
+    Attributes:
+        x: The unknowns, shape (n,).
+        cost: The cost.
+        rows: Values of the rows, shape (m,).
+        row_forces: Multipliers of the rows: what the cost loses a unit of their bounds, (m,).
+        bound_forces: Multipliers of bounds of the unknowns, shape (n,).
+        status: What the solver says.
+        iterations: How many it took.
+        is_good: Whether conditions of optimality hold.
+        violation: Largest violation of rows, in their usual sizes.
+        stationarity: Largest slope of the Lagrangian, in usual sizes.
+    """
+
+    x: Array
+    cost: float
+    rows: Array
+    row_forces: Array
+    bound_forces: Array
+    status: str
+    iterations: int
+    is_good: bool
+    violation: float
+    stationarity: float
+
+
+def solve(
+    program: SparseProgram,
+    guess: Array,
+    lower: Array,
+    upper: Array,
+    *,
+    accuracy: float = 1.0e-9,
+    most: int = 1000,
+    is_near: bool = False,
+    tell: Tell | None = None,
+    options: Mapping[str, Any] = _NO_OPTIONS,
+) -> Solved:
+    """Solve a program.
+
+    Args:
+        program: The program.
+        guess: All unknowns, fixed ones too, shape (n,).
+        lower: Their bounds, shape (n,).
+        upper: The same.
+        accuracy: Of the conditions of optimality, in usual sizes.
+        most: Largest number of iterations.
+        is_near: Whether the guess solves a program that is nearly this one.
+        tell: Is called after every iteration; stops the solver where it says so.
+        options: Further ones of IPOPT, by name.
+    """
+    functions, at = program.functions(), program.open
+    ipopt: dict[str, Any] = {
+        "print_level": 0,
+        "sb": "yes",
+        "tol": accuracy,
+        "constr_viol_tol": accuracy,
+        "dual_inf_tol": 1.0e3 * accuracy,
+        "compl_inf_tol": accuracy,
+        "bound_relax_factor": 0.0,
+        "max_iter": most,
+        "linear_solver": "mumps",
+        "mumps_permuting_scaling": 0,  # usual sizes do that; permuted, factors are a third larger
+        **(_WARM if is_near else {}),
+        **options,
+    }
+    asked = {name: functions[name] for name in ("grad_f", "jac_g", "hess_lag")}
+    more = {"print_time": False, "no_nlp_grad": True, "calc_lam_p": False}
+    watch = _Watch(program.bounds, tell) if tell is not None else None
+    if watch is not None:
+        more["iteration_callback"] = watch
+    solver = ca.nlpsol("predict", "ipopt", functions["program"], {**asked, **more, "ipopt": ipopt})
+    sizes, (row_lower, row_upper) = program.sizes[at], program.bounds
+    found = solver(
+        x0=guess[at] / sizes,
+        lbx=lower[at] / sizes,
+        ubx=upper[at] / sizes,
+        lbg=row_lower,
+        ubg=row_upper,
+    )
+    return _solved(program, guess, found, solver.stats(), functions)
+
+
+def _solved(
+    program: SparseProgram, guess: Array, found: Any, stats: Any, functions: Any
+) -> Solved:
+    at, sizes, x = program.open, program.sizes[program.open], guess.copy()
+    y, lam = _flat(found["x"]), _flat(found["lam_g"])
+    pulls, bounds = _flat(found["lam_x"]), np.zeros(len(x))
+    x[at] = y * sizes
+    rows = _flat(found["g"])
+    lower, upper = program.bounds
+    off = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)
+    slope = _flat(functions["grad_f"](y, [])[1])
+    if program.m:
+        slope = slope + _flat(functions["jac_g"](y, [])[1].T @ found["lam_g"])
+    cost = program.cost_size
+    bounds[at] = pulls * cost / sizes
+    status = str(stats["return_status"])
+    return Solved(
+        x,
+        float(found["f"]) * cost,
+        rows * program.row_sizes,
+        lam * cost / program.row_sizes,
+        bounds,
+        status,
+        int(stats["iter_count"]),
+        status in _GOOD,
+        float(off.max(initial=0.0)),
+        float(np.abs(slope + pulls).max(initial=0.0)),
+    )
+
+
+def _flat(values: Any) -> Array:
+    return np.array(ca.DM(values).full(), dtype=np.float64).ravel()
+
+
+class _Watch(ca.Callback):  # type: ignore[misc]
+    """What is called after every iteration."""
+
+    def __init__(self, bounds: tuple[Array, Array], tell: Tell) -> None:
+        ca.Callback.__init__(self)
+        self._bounds, self._tell = bounds, tell
+        self.iterations = 0
+        self.construct("watch", {})
+
+    def get_n_in(self) -> int:
+        return int(ca.nlpsol_n_out())
+
+    def get_n_out(self) -> int:
+        return 1
+
+    def get_name_in(self, i: int) -> str:
+        return str(ca.nlpsol_out(i))
+
+    def get_name_out(self, i: int) -> str:
+        return "ret"
+
+    def get_sparsity_in(self, i: int) -> Any:
+        sizes = {"f": 1, "g": len(self._bounds[0])}
+        size = sizes.get(ca.nlpsol_out(i))
+        return ca.Sparsity(0, 0) if size is None else ca.Sparsity.dense(size, 1)
+
+    def eval(self, given: Any) -> list[int]:
+        self.iterations += 1
+
+        def progress() -> tuple[float, float]:
+            rows, (lower, upper) = _flat(given[2]), self._bounds
+            off = np.maximum(lower - rows, rows - upper).max(initial=0.0)
+            return float(given[1]), float(off)
+
+        return [int(self._tell(self.iterations, progress))]

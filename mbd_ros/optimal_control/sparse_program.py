@@ -1,0 +1,176 @@
+"""A nonlinear program from blocks, with exact sparse derivatives."""
+
+import itertools
+from collections.abc import Sequence
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.optimal_control.program_block import Block, Form, Places
+
+
+class SparseProgram:
+    """min f(x), lower <= g(x) <= upper: sums and rows of blocks.
+
+    Unknowns, rows and the cost are given to a solver in their usual sizes. Every form is one
+    function that is evaluated at all its places; nothing is unrolled, and the number of entries of
+    a derivative is what the forms say.
+
+    Args:
+        blocks: The blocks.
+        sizes: Usual sizes of the unknowns, shape (n,).
+        known: Values of unknowns that are fixed, NaN for the others, shape (n,).
+        cost_size: Usual size of the cost.
+
+    Attributes:
+        blocks: As given.
+        sizes: As given.
+        open: Numbers of the unknowns that are not fixed: those of the solver.
+        cost_size: As given.
+        row_sizes: Usual sizes of the rows, in the order of the blocks, place by place.
+        slices: Rows of each block.
+    """
+
+    def __init__(
+        self, blocks: Sequence[Block], sizes: Array, known: Array, cost_size: float = 1.0
+    ) -> None:
+        self.blocks = [block for block in blocks if block.count]
+        self.sizes, self.cost_size = sizes, cost_size
+        self.open = np.flatnonzero(np.isnan(known))
+        fixed = np.flatnonzero(~np.isnan(known))
+        self._column = np.full(len(sizes), -1, dtype=np.intp)
+        self._column[self.open] = np.arange(len(self.open))
+        self._n = len(self.open)
+        ends = np.cumsum([0, *(b.form.rows * b.count for b in self.blocks)])
+        self.slices = [slice(int(a), int(b)) for a, b in itertools.pairwise(ends)]
+        self.row_sizes = self._rows("size")
+        self.m = int(ends[-1])
+        self._x = ca.MX.sym("x", self._n)
+        order = np.argsort(np.concatenate((self.open, fixed)))
+        values = ca.vertcat(self._x * ca.DM(sizes[self.open]), ca.DM(known[fixed]))
+        self._whole = values[order.tolist()]
+        self._given = [self._gathered(block) for block in self.blocks]
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds of the rows, in their usual sizes, shape (m,) each."""
+        return self._rows("lower") / self.row_sizes, self._rows("upper") / self.row_sizes
+
+    def functions(self) -> dict[str, Any]:
+        """What a solver asks, in usual sizes: the program, and `grad_f`, `jac_g`, `hess_lag`."""
+        x, p = self._x, ca.MX.sym("p", 0)
+        f, g = self._cost(), self._values()
+        s, lam = ca.MX.sym("s"), ca.MX.sym("l", self.m)
+        return {
+            "program": {"x": x, "f": f, "g": g},
+            "grad_f": ca.Function("grad_f", [x, p], [f, self._gradient()]),
+            "jac_g": ca.Function("jac_g", [x, p], [g, self._jacobian()]),
+            "hess_lag": ca.Function("hess_lag", [x, p, s, lam], [self._hessian(s, lam)]),
+        }
+
+    def _rows(self, name: str) -> Array:
+        parts = [getattr(block, name).T.ravel() for block in self.blocks]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    def _gathered(self, block: Block) -> list[Any]:
+        """Unknowns and data of a block, a column a place."""
+        at = block.places.T.ravel()
+        data = ca.DM(block.data) if block.data.size else ca.DM(0, block.count)
+        return [ca.reshape(self._whole[at.tolist()], block.form.size, block.count), data]
+
+    def _mapped(self, i: int, function: Any, more: Sequence[Any] = ()) -> Any:
+        """A function of a form at all places, one column of numbers."""
+        count = self.blocks[i].count
+        given = [*self._given[i], *more]
+        return ca.vec((function.map(count) if count > 1 else function)(*given))
+
+    def _cost(self) -> Any:
+        parts = [
+            ca.sum1(self._mapped(i, block.form.cost))
+            for i, block in enumerate(self.blocks)
+            if block.form.has_cost
+        ]
+        return sum(parts, ca.MX(0.0)) / self.cost_size
+
+    def _values(self) -> Any:
+        parts = [
+            self._mapped(i, block.form.values)
+            for i, block in enumerate(self.blocks)
+            if block.form.rows
+        ]
+        return ca.vertcat(ca.MX(0, 1), *parts) / ca.DM(self.row_sizes)
+
+    def _gradient(self) -> Any:
+        values, columns = [ca.MX(0, 1)], list[Places]()
+        for i, block in enumerate(self.blocks):
+            if block.form.has_cost:
+                (_, inside), function = block.form.gradient
+                values.append(self._mapped(i, function))
+                columns.append(block.places[inside].T.ravel())
+        at = _joined(columns)
+        kept = np.flatnonzero(self._column[at] >= 0)
+        if not len(kept):
+            return ca.MX.zeros(self._n)
+        weights = ca.DM(self.sizes[at[kept]] / self.cost_size)
+        into = self._column[at[kept]].tolist()
+        summing = ca.DM.triplet(into, kept.tolist(), weights, self._n, len(at))
+        return ca.densify(summing @ ca.vertcat(*values))
+
+    def _jacobian(self) -> Any:
+        values, rows, columns = [ca.MX(0, 1)], list[Places](), list[Places]()
+        for i, block in enumerate(self.blocks):
+            if block.form.rows:
+                (row, inside), function = block.form.jacobian
+                values.append(self._mapped(i, function))
+                first = self.slices[i].start + block.form.rows * np.arange(block.count)
+                rows.append((row[:, None] + first).T.ravel())
+                columns.append(block.places[inside].T.ravel())
+        at = _joined(rows), _joined(columns)
+        weights = self.sizes[at[1]] / self.row_sizes[at[0]]
+        of = at[0], self._column[at[1]]
+        return _matrix(ca.vertcat(*values), of, weights, (self.m, self._n))
+
+    def _hessian(self, s: Any, lam: Any) -> Any:
+        values, rows, columns = [ca.MX(0, 1)], list[Places](), list[Places]()
+        for i, block in enumerate(self.blocks):
+            inside, function = block.form.hessian
+            if not inside.size:
+                continue
+            more = self._weights(i, block.form, s, lam)
+            values.append(self._mapped(i, function, more))
+            pairs = block.places[inside]
+            rows.append(pairs.min(axis=0).T.ravel())
+            columns.append(pairs.max(axis=0).T.ravel())
+        at = _joined(rows), _joined(columns)
+        weights = self.sizes[at[0]] * self.sizes[at[1]]
+        of = self._column[at[0]], self._column[at[1]]
+        return _matrix(ca.vertcat(*values), of, weights, (self._n, self._n))
+
+    def _weights(self, i: int, form: Form, s: Any, lam: Any) -> list[Any]:
+        """What the cost and the rows of a block count in the Lagrangian, a column a place."""
+        rows, count = self.slices[i], self.blocks[i].count
+        own = lam[rows] / ca.DM(self.row_sizes[rows]) if form.rows else ca.MX(0, 1)
+        of_cost = ca.repmat(s / self.cost_size, 1, count)
+        return [of_cost, ca.reshape(own, form.rows, count)]
+
+
+def _joined(parts: Sequence[Places]) -> Places:
+    return np.concatenate(parts) if parts else np.zeros(0, dtype=np.intp)
+
+
+def _matrix(values: Any, at: tuple[Places, Places], weights: Array, shape: tuple[int, int]) -> Any:
+    """A sparse matrix of weighted entries; those at one place are added, of fixed ones none."""
+    kept = np.flatnonzero((at[0] >= 0) & (at[1] >= 0))
+    if not len(kept):
+        return ca.MX(*shape)
+    rows, columns, weights = at[0][kept], at[1][kept], weights[kept]
+    keys, inverse = np.unique(columns * shape[0] + rows, return_inverse=True)
+    pattern = ca.Sparsity.triplet(*shape, (keys % shape[0]).tolist(), (keys // shape[0]).tolist())
+    if len(keys) == len(kept):
+        order = np.argsort(inverse)
+        return ca.MX(pattern, values[kept[order].tolist()] * ca.DM(weights[order]))
+    into = inverse.ravel().tolist()
+    summing = ca.DM.triplet(into, kept.tolist(), ca.DM(weights), len(keys), values.numel())
+    return ca.MX(pattern, summing @ values)

@@ -1,0 +1,70 @@
+"""Motors that give the torque they are asked for."""
+
+import math
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.contracts.parts import Actuator, Channel
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import Positive, Unit
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class Ideal(Actuator):
+    """tau = u, at most `limit` in either direction. No inertia, friction or delay.
+
+    Args:
+        robot: Robot of the scene.
+        joints: Driven joints, one command [N·m or N] each, in this order.
+        limit: Largest torque or force of every joint; without it there is none. The effort
+            limits of the URDF are not read.
+
+    Raises:
+        ModelError: No joint, or an unknown or repeated one.
+    """
+
+    example = {"joints": ["knee", "ankle"], "limit": 100.0}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joints: Sequence[str],
+        limit: Annotated[Positive, Unit("N·m or N")] = math.inf,
+    ) -> None:
+        if not joints or len(set(joints)) != len(joints):
+            raise ModelError(f"joints {list(joints)} must be one or more different joints")
+        self.joints = tuple(joints)
+        self._v = np.array([robot.joint(name).v for name in joints])
+        self._limit, self._nv = limit, int(robot.model.nv)
+        self._columns = np.zeros((self._nv, len(joints)))
+        self._columns[self._v, np.arange(len(joints))] = 1.0
+        units = [robot.joint(name).effort_unit for name in joints]
+        names = joints if len(joints) > 1 else ("",)
+        self.inputs = tuple(
+            Channel(name, unit, -limit, limit) for name, unit in zip(names, units, strict=True)
+        )
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Generalized force, shape (nv,), of the commands [N·m or N], shape (len(joints),)."""
+        tau, u = k.zeros(self._nv), u[self.u]
+        if self._limit < math.inf:
+            u = k.within(u, -self._limit, self._limit)
+        tau[self._v] = u
+        return tau
+
+    def constant_slopes(self, nv: int, nz: int) -> Array:
+        """Nothing, shape (nv, 2 nv + nz): only commands move it."""
+        return np.zeros((nv, 2 * nv + nz))
+
+    def columns(self, k: Kinematics, x: State) -> Array:
+        """Ones, shape (nv, len(joints)), not to be written to."""
+        return self._columns
+
+    def limits(self) -> Array:
+        """`limit` of every joint [N·m or N], shape (len(joints),)."""
+        return np.full(len(self.joints), self._limit)

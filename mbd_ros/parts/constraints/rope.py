@@ -1,0 +1,66 @@
+"""A path that gets no longer than its rope."""
+
+from typing import Annotated
+
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.multiplier_laws import unilateral
+from mbd_ros.core.paths.paths import Path
+from mbd_ros.core.ranges import OptionalDuration, Restitution, Unit
+from mbd_ros.core.rows.path_rows import PathRow
+from mbd_ros.errors import ModelError
+
+
+class Rope(PathRow):
+    """Massless rope without friction that does not stretch: g = length - l >= 0, tension >= 0.
+
+    It is slack while l < length. Where it becomes taut there is an impact with Poisson's
+    restitution. A smoothed rope acts as soon as g'' + 2 g' / T + g / T^2 would be negative: it
+    becomes taut exponentially, without an impact.
+
+    Args:
+        robot: Robot of the scene.
+        path: What it goes over: the name of a path of the scene, or a path of its own.
+        length: Length of the rope.
+        restitution: Share of the impulse of compression that an impact gives back.
+        smoothed: Whether the rope is solved for in every evaluation, which costs the order of the
+            method; that is so with a time constant, too.
+        time_constant: T of a smoothed rope, 0.01 s by default.
+
+    Raises:
+        ModelError: As the path says.
+    """
+
+    example = {
+        "path": {"points": [{"frame": "world", "xyz": [0.1, 0.0, 1.0]}, {"frame": "foot"}]},
+        "length": 1.5,
+        "restitution": 0.2,
+    }
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        path: Path,
+        length: Annotated[float, Unit("m")],
+        restitution: Annotated[Restitution, Unit("-")] = 0.0,
+        smoothed: bool = False,
+        time_constant: OptionalDuration = None,
+    ) -> None:
+        super().__init__(path, length)
+        self.law = unilateral(restitution)
+        self.smoothed = smoothed or time_constant is not None
+        T = 0.01 if time_constant is None else time_constant
+        self.gains = (1.0 / T**2, 2.0 / T)
+
+    @staticmethod
+    def check(restitution: float, smoothed: bool, time_constant: float | None) -> None:
+        """Refuse bounces of a smoothed rope.
+
+        Raises:
+            ModelError: Names the restitution.
+        """
+        if restitution > 0.0 and (smoothed or time_constant is not None):
+            raise ModelError(
+                f"restitution {restitution:g} needs an exact rope: leave out smoothed and "
+                "time_constant"
+            )

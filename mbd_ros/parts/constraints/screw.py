@@ -1,0 +1,67 @@
+"""Rotation coupled to translation."""
+
+import math
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotZero, Unit
+from mbd_ros.core.rows.constraint import Constraint, Row
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class Screw(Constraint):
+    """Lossless screw: q_joint - pitch / (2 pi) q_parent - offset = 0.
+
+    The multiplier is the axial force of the screw; a positive one pushes the sliding joint in its
+    positive direction and brakes the turning one by pitch / (2 pi) times as much.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Prismatic joint that the screw moves.
+        parent: Revolute or continuous joint that turns it.
+        pitch: Travel of a turn; < 0 for a left-handed screw.
+        offset: Position of `joint` at `parent` = 0.
+
+    Raises:
+        ModelError: Joints of other kinds.
+    """
+
+    example = {"joint": "knee_slide_y", "parent": "knee", "pitch": 0.005}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        parent: str,
+        pitch: Annotated[NotZero, Unit("m")],
+        offset: Annotated[float, Unit("m")] = 0.0,
+    ) -> None:
+        slider, turner = robot.joint(joint), robot.joint(parent)
+        if slider.kind != "prismatic":
+            raise ModelError(f"joint '{joint}' is {slider.kind}, accepted: prismatic")
+        if turner.kind == "prismatic":
+            raise ModelError(f"parent '{parent}' is prismatic, accepted: revolute, continuous")
+        self._slider, self._turner = slider.q, turner.q
+        self._lead, self._offset = pitch / (2.0 * math.pi), offset
+        slopes = [0.0] * int(robot.model.nv)  # a list, which holds symbols, too
+        slopes[slider.v], slopes[turner.v] = 1.0, -self._lead
+        self._jacobian, self._drift = np.array([slopes]), np.zeros(1)
+        self.rows = (Row("force", "N"),)
+
+    def residual(self, k: Kinematics, x: State) -> Array:
+        """How far the slider is off the thread, g [m], shape (1,)."""
+        slid, turned = k.item(x.q, self._slider), k.item(x.q, self._turner)
+        return k.array((slid - self._lead * turned - self._offset,))
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """Constant, shape (1, nv)."""
+        return self._jacobian
+
+    def drift(self, k: Kinematics, x: State) -> Array:
+        """Zero, shape (1,)."""
+        return self._drift

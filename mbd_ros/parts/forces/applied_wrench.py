@@ -1,0 +1,70 @@
+"""Constant wrench on a link."""
+
+from typing import Annotated, Literal
+
+import numpy as np
+
+from mbd_ros.core.contracts.parts import Load, Wrench
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import Unit, Vector
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+
+
+class AppliedWrench(Load):
+    """Constant force and torque at a point of a link: tau = J' (force, torque).
+
+    The point travels with the link. In world axes the load keeps its direction, in those of the
+    frame it turns with the link (a thruster).
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link (or frame) that carries the load.
+        force: In the axes of `expressed_in`, shape (3,).
+        torque: In the same axes, shape (3,).
+        point: Where the force acts, in `frame`, shape (3,).
+        expressed_in: Axes of force and torque: `world`, or `frame` for those of the link.
+
+    Raises:
+        ModelError: Unknown frame, or one that cannot move.
+    """
+
+    reads = Reads.JACOBIAN
+    example = {"frame": "foot", "force": [10.0, 0.0, 50.0], "point": [0.1, 0.0, 0.0]}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        force: Annotated[Vector, Unit("N")] = (0.0, 0.0, 0.0),
+        torque: Annotated[Vector, Unit("N·m")] = (0.0, 0.0, 0.0),
+        point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        expressed_in: Literal["world", "frame"] = "world",
+    ) -> None:
+        self._point, self._turns = robot.point(frame, point), expressed_in == "frame"
+        if not self._point.moves:
+            raise ModelError(f"frame '{frame}' does not move, a load on it changes nothing")
+        self._wrench = np.array([*force, *torque])
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Generalized force, shape (nv,)."""
+        jacobian = k.own_jacobian if self._turns else k.spatial_jacobian
+        tau: Array = k.dot(self._wrench, jacobian(self._point))
+        return tau
+
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
+        """The load on the link."""
+        axes = k.rotation(self._point) if self._turns else np.eye(3)
+        force, torque = axes.dot(self._wrench[:3]), axes.dot(self._wrench[3:])
+        return (Wrench(self._point.frame, k.position(self._point), force, torque),)
+
+    def potential(self, k: Kinematics, x: State) -> float:
+        """Energy whose slope a force of constant direction is, -force . point [J].
+
+        Zero for a load that turns with the link; the torque has none in three dimensions.
+        """
+        if self._turns:
+            return 0.0
+        return -k.dot(self._wrench[:3], k.position(self._point))

@@ -1,0 +1,46 @@
+"""Dry and viscous friction in a joint, regularised."""
+
+from typing import Annotated
+
+from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotNegative, Smoothing, Unit, is_value
+from mbd_ros.core.state import Array, State
+
+
+class JointFriction(Load):
+    """tau = -coulomb tanh(v / smoothing) - viscous v. No stiction: a joint at rest creeps.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Joint that rubs.
+        coulomb: Dry friction.
+        viscous: Viscous friction.
+        smoothing: Velocity at which 76 % of the dry friction is reached.
+    """
+
+    example = {"joint": "ankle", "coulomb": 0.4, "viscous": 0.05}
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        coulomb: Annotated[NotNegative, Unit("N·m or N")] = 0.0,
+        viscous: Annotated[NotNegative, Unit("N·m·s/rad or N·s/m")] = 0.0,
+        smoothing: Smoothing = 1.0e-2,
+    ) -> None:
+        self.joint = robot.joint(joint)
+        self._coulomb, self._viscous, self._smoothing = coulomb, viscous, smoothing
+        self._nv = int(robot.model.nv)
+        given = {"friction": coulomb, "damping": viscous}
+        self.brings = tuple(key for key, value in given.items() if not is_value(value, 0.0))
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Generalized force of the friction, shape (nv,)."""
+        tau = k.zeros(self._nv)
+        rate = k.item(x.v, self.joint.v)
+        dry = self._coulomb * k.tanh(rate / self._smoothing)
+        tau[self.joint.v] = -dry - self._viscous * rate
+        return tau

@@ -1,0 +1,40 @@
+"""Constant torque on a joint."""
+
+from typing import Annotated
+
+from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import Unit
+from mbd_ros.core.state import Array, State
+
+
+class JointTorque(Load):
+    """Constant torque, or force on a prismatic joint: tau = torque.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Joint that it acts on.
+        torque: Along the positive joint axis.
+
+    Raises:
+        ModelError: Unknown joint.
+    """
+
+    example = {"joint": "ankle", "torque": 5.0}
+
+    def __init__(
+        self, robot: Robot, *, joint: str, torque: Annotated[float, Unit("N·m or N")]
+    ) -> None:
+        self.joint = robot.joint(joint)
+        self._torque, self._nv = torque, int(robot.model.nv)
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Generalized force, shape (nv,)."""
+        tau = k.zeros(self._nv)
+        tau[self.joint.v] = self._torque
+        return tau
+
+    def potential(self, k: Kinematics, x: State) -> float:
+        """Energy whose slope the torque is, zero at q = 0 [J]."""
+        return -self._torque * k.item(x.q, self.joint.q)

@@ -1,0 +1,59 @@
+"""Spring along a path whose damping grows with its tension."""
+
+from typing import Annotated
+
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.loads.path_load import PathLoad
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.paths.paths import Path
+from mbd_ros.core.ranges import NotNegative, Unit
+from mbd_ros.core.state import Array, State
+
+
+class PathSpring(PathLoad):
+    """Spring along a path of length l that is slack below its resting length.
+
+        F = stiffness s (1 + dissipation l')  where the stretch s = l - resting_length > 0, else 0
+
+    F is continuous where it becomes taut, unlike that of a `cable` with damping; it pushes where
+    the path shortens faster than 1 / dissipation.
+
+    Source: OpenSim's PathSpring; A. Seth et al., PLoS Comput. Biol. 14, 2018, e1006223.
+
+    Args:
+        robot: Robot of the scene.
+        path: What it goes over: the name of a path of the scene, or a path of its own.
+        stiffness: Of the whole spring.
+        resting_length: Length below which it is slack.
+        dissipation: Share of the tension that a speed adds.
+
+    Raises:
+        ModelError: As the path says.
+    """
+
+    example = {
+        "path": {"points": [{"frame": "world", "xyz": [0.1, 0.0, 1.0]}, {"frame": "foot"}]},
+        **{"stiffness": 2000.0, "resting_length": 0.3, "dissipation": 0.1},
+    }
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        path: Path,
+        stiffness: Annotated[NotNegative, Unit("N/m")],
+        resting_length: Annotated[NotNegative, Unit("m")],
+        dissipation: Annotated[NotNegative, Unit("s/m")] = 0.0,
+    ) -> None:
+        super().__init__(path)
+        self._stiffness, self._rest, self._share = stiffness, resting_length, dissipation
+
+    def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
+        """The F [N]."""
+        stretch = k.maximum(length - self._rest, 0.0)
+        return self._stiffness * stretch * (1.0 + self._share * speed)
+
+    def potential(self, k: Kinematics, x: State) -> float:
+        """Energy of the stretch, zero while it is slack [J]."""
+        stretch = k.maximum(self.path.length(k, x) - self._rest, 0.0)
+        return 0.5 * self._stiffness * stretch * stretch

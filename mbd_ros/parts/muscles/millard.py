@@ -1,0 +1,162 @@
+"""Muscle of Millard 2012."""
+
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.muscles.activation import FirstOrder
+from mbd_ros.core.muscles.contraction import Contraction, check_sizes
+from mbd_ros.core.muscles.millard_curves import (
+    MillardCurves,
+    active_curve,
+    passive_curve,
+    tendon_curve,
+    velocity_curve,
+)
+from mbd_ros.core.muscles.muscle import Muscle
+from mbd_ros.core.muscles.pennation import Angle, pennation
+from mbd_ros.core.paths.paths import Path
+from mbd_ros.core.ranges import SMALLEST, Length, NotNegative, Positive, Unit, Within
+from mbd_ros.errors import ModelError
+
+_SHARE = Within(1.0e-6, 0.999)
+_MORE = Within(1.001, 100.0)
+_CURVINESS = Within(0.0, 1.0)
+_POSITIVE = Within(SMALLEST, 1.0e30)
+
+
+class Millard(Muscle):
+    """Muscle with force curves of Bezier segments and a damper beside the fibres.
+
+    Equations are in docs/muscles.md. Active force vanishes at both ends of its curve, as it does
+    in OpenSim with damping. Fatigue and history of force are left out.
+
+    Source: M. Millard, T. Uchida, A. Seth, S. L. Delp, Flexing computational muscle: modeling and
+    simulation of musculotendon dynamics, J. Biomech. Eng. 135, 2013, 021005,
+    doi:10.1115/1.4023390.
+
+    Args:
+        robot: Robot of the scene.
+        path: What it goes over: the name of a path of the scene, or a path of its own.
+        max_isometric_force: Largest force of the active fibres at rest.
+        optimal_fiber_length: Fibre length at which they have it.
+        tendon_slack_length: Length at which the tendon begins to pull.
+        pennation_angle: Between fibres of optimal length and the tendon.
+        maximum_pennation_angle: Angle beyond which fibres do not shorten.
+        max_contraction_velocity: Largest speed of shortening, in optimal fibre lengths.
+        activation_time: Time constant of rising activation.
+        deactivation_time: Time constant of falling activation.
+        minimum_activation: Least activation.
+        tendon: elastic, with fibre length as a state, or rigid.
+        damping: Of the fibres, in peak forces per largest speed.
+        active_lengths: Per optimal length, where active force begins, where its ascent becomes
+            shallow, and where it ends.
+        active_slope: Of the shallow ascent.
+        passive_zero_strain: Strain of the fibres at which their passive force begins.
+        passive_strain: Strain at which it is the peak force.
+        passive_low_stiffness: Its slope at the end of the toe.
+        passive_stiffness: Its slope at the peak force; default 2 / (the strain between).
+        passive_curviness: Of its curve, 0 .. 1.
+        tendon_strain: Strain of the tendon at which its force is the peak force.
+        tendon_stiffness: Slope of its force beyond the toe; default 1.375 / tendon_strain.
+        tendon_toe_force: Force at the end of its toe.
+        tendon_curviness: Of its curve, 0 .. 1.
+        shortening_slope: Of the force-velocity curve near the largest speed of shortening.
+        shortening_curviness: Of its half of that curve, 0 .. 1.
+        isometric_slope: At rest.
+        lengthening_force: Largest force of lengthening fibres per isometric force.
+        lengthening_slope: Near the largest speed of lengthening.
+        lengthening_curviness: Of its half of the curve, 0 .. 1.
+
+    Raises:
+        ModelError: As the path says.
+    """
+
+    example = {
+        "path": {"points": [{"frame": "world", "xyz": [0.1, 0.0, 1.0]}, {"frame": "foot"}]},
+        "max_isometric_force": 600.0,
+        "optimal_fiber_length": 0.4,
+        "tendon_slack_length": 0.5,
+        "pennation_angle": 0.2,
+    }
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        path: Path,
+        max_isometric_force: Annotated[Positive, Unit("N")],
+        optimal_fiber_length: Annotated[Positive, Unit("m")],
+        tendon_slack_length: Annotated[NotNegative, Unit("m")],
+        pennation_angle: Annotated[float, Angle, Unit("rad")] = 0.0,
+        maximum_pennation_angle: Annotated[float, Angle, Unit("rad")] = 1.4706289056333368,
+        max_contraction_velocity: Annotated[Positive, Unit("1/s")] = 10.0,
+        activation_time: Annotated[Positive, Unit("s")] = 0.01,
+        deactivation_time: Annotated[Positive, Unit("s")] = 0.04,
+        minimum_activation: Annotated[float, _SHARE, Unit("-")] = 0.01,
+        tendon: Literal["elastic", "rigid"] = "elastic",
+        damping: Annotated[NotNegative, Unit("-")] = 0.1,
+        active_lengths: Annotated[Sequence[float], Length(3), Unit("-")] = (0.4441, 0.73, 1.8123),
+        active_slope: Annotated[Positive, Unit("-")] = 0.8616,
+        passive_zero_strain: Annotated[float, Unit("-")] = 0.0,
+        passive_strain: Annotated[Positive, Unit("-")] = 0.7,
+        passive_low_stiffness: Annotated[Positive, Unit("-")] = 0.2,
+        passive_stiffness: Annotated[float | None, _POSITIVE, Unit("-")] = None,
+        passive_curviness: Annotated[float, _CURVINESS, Unit("-")] = 0.75,
+        tendon_strain: Annotated[Positive, Unit("-")] = 0.049,
+        tendon_stiffness: Annotated[float | None, _POSITIVE, Unit("-")] = None,
+        tendon_toe_force: Annotated[float, _SHARE, Unit("-")] = 2.0 / 3.0,
+        tendon_curviness: Annotated[float, _CURVINESS, Unit("-")] = 0.5,
+        shortening_slope: Annotated[Positive, Unit("-")] = 0.25,
+        shortening_curviness: Annotated[float, _CURVINESS, Unit("-")] = 0.6,
+        isometric_slope: Annotated[Positive, Unit("-")] = 5.0,
+        lengthening_force: Annotated[float, _MORE, Unit("-")] = 1.4,
+        lengthening_slope: Annotated[Positive, Unit("-")] = 0.15,
+        lengthening_curviness: Annotated[float, _CURVINESS, Unit("-")] = 0.9,
+    ) -> None:
+        ascent = (passive_zero_strain, passive_strain, passive_low_stiffness)
+        pulling = (tendon_strain, tendon_stiffness, tendon_toe_force, tendon_curviness)
+        longer = (lengthening_force, lengthening_slope, lengthening_curviness)
+        curves = MillardCurves(
+            active_curve(*active_lengths, active_slope),
+            passive_curve(*ascent, passive_stiffness, passive_curviness),
+            tendon_curve(*pulling),
+            velocity_curve((shortening_slope, shortening_curviness), isometric_slope, longer),
+            damping,
+        )
+        contraction = Contraction(
+            *(max_isometric_force, optimal_fiber_length, tendon_slack_length),
+            max_contraction_velocity * optimal_fiber_length,
+            pennation(optimal_fiber_length, pennation_angle, maximum_pennation_angle),
+            curves,
+        )
+        dynamics = FirstOrder(activation_time, deactivation_time, minimum_activation)
+        super().__init__(path, contraction, dynamics, tendon)
+
+    @staticmethod
+    def check(
+        tendon: str,
+        tendon_slack_length: float,
+        pennation_angle: float,
+        maximum_pennation_angle: float,
+        damping: float,
+        active_lengths: Sequence[float],
+        passive_zero_strain: float,
+        passive_strain: float,
+    ) -> None:
+        """Refuse what does not go together.
+
+        Raises:
+            ModelError: Names it.
+        """
+        check_sizes(tendon, tendon_slack_length, pennation_angle, maximum_pennation_angle)
+        if tendon == "elastic" and damping <= 0.0:
+            raise ModelError("damping is 0: fibres beside an elastic tendon need some")
+        first, bend, last = active_lengths
+        if not 0.0 <= first < bend < 0.95 or not last > 1.1:
+            raise ModelError(
+                f"active_lengths {list(active_lengths)} must increase, the second below 0.95 and "
+                "the last above 1.1, around the plateau at 1"
+            )
+        if passive_strain <= passive_zero_strain:
+            raise ModelError("passive_strain must be above passive_zero_strain")

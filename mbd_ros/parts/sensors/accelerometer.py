@@ -1,0 +1,68 @@
+"""Accelerometer on a link."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.sensor import Measures, Sensor, specific_force
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotNegative, Unit, Vector
+from mbd_ros.core.state import Array, State
+
+
+class Accelerometer(Sensor):
+    """Specific force at a point of a link, in axes of the link: R' (a - g), +9.81 upwards at rest.
+
+    An offset of its zero and its range are left out.
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link (or frame) in whose axes it measures.
+        xyz: Place in `frame`, shape (3,).
+        noise: Standard deviation of each component.
+        label: What recordings and messages call it; empty for its name.
+        delay: From a measurement to its message.
+
+    Raises:
+        ModelError: Unknown frame.
+    """
+
+    example = {"frame": "foot", "noise": 0.05}
+    level = Measures.ACCELERATION
+    reads = Reads.DRIFT
+    unit = "m/s^2"
+    components = ("x", "y", "z")
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        xyz: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        noise: Annotated[NotNegative, Unit("m/s^2")] = 0.05,
+        label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
+    ) -> None:
+        self.point, self.frame = robot.point(frame, xyz), frame
+        self.xyz: Sequence[float] = xyz
+        self.noise, self.label, self.delay = noise, label, delay
+        self._gravity = robot.model.gravity.linear.copy()
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """Specific force in the axes of the link [m/s^2], shape (3,).
+
+        Raises:
+            ModelError: Accelerations are not given.
+        """
+        return specific_force(self, k, self.point, now, self._gravity)
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """Derivative by the accelerations of the joints, shape (3, nv)."""
+        return k.rotation(self.point).T.dot(k.jacobian(self.point))
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """The same noise along all axes [(m/s^2)^2], shape (3, 3)."""
+        return self.noise**2 * np.eye(3)

@@ -1,0 +1,62 @@
+"""Torque or force sensor in a joint."""
+
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.sensor import Measures, Sensor, reactions_of
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotNegative, Unit
+from mbd_ros.core.state import Array, State
+
+
+class Effort(Sensor):
+    """What the parent of a joint exerts on its child along the axis: all that acts in the joint.
+
+    That is drive, friction, springs and tendons, without the torque on the rotor of a drive: what
+    a sensor at the output of a gear feels.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Joint that it is in.
+        noise: Standard deviation.
+        offset: What it shows where nothing acts.
+        label: What recordings and messages call it; empty for its name.
+        delay: From a measurement to its message.
+
+    Raises:
+        ModelError: Unknown joint.
+    """
+
+    example = {"joint": "ankle", "noise": 0.05}
+    level = Measures.FORCE
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        noise: Annotated[NotNegative, Unit("N·m or N")] = 0.05,
+        offset: Annotated[float, Unit("N·m or N")] = 0.0,
+        label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
+    ) -> None:
+        self.joint, self.noise, self.offset = robot.joint(joint), noise, offset
+        self.label, self.delay = label, delay
+        self.frame, self.unit = joint, self.joint.effort_unit
+        self._row = [one.name for one in robot.joints].index(joint)
+        self._axis = robot.axis(self.joint)
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """Effort in the joint [N·m or N], shape (1,).
+
+        Raises:
+            ModelError: Reactions are not given.
+        """
+        return np.array((reactions_of(self, now)[self._row].dot(self._axis) + self.offset,))
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """Of the noise [(N·m)^2 or N^2], shape (1, 1)."""
+        return np.array(((self.noise**2,),))

@@ -1,0 +1,60 @@
+"""Encoder on a joint."""
+
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.sensor import Measures, Sensor
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotNegative, Unit
+from mbd_ros.core.state import Array, State
+
+
+class Encoder(Sensor):
+    """Position of a joint; resolution and backlash are left out.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Joint that it is on.
+        noise: Standard deviation.
+        offset: What it shows at the zero of the joint.
+        label: What recordings and messages call it; empty for its name.
+        delay: From a measurement to its message.
+
+    Raises:
+        ModelError: Unknown joint.
+    """
+
+    example = {"joint": "ankle", "noise": 1.0e-4}
+    is_linear = True
+    level = Measures.POSITION
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        noise: Annotated[NotNegative, Unit("rad or m")] = 1.0e-4,
+        offset: Annotated[float, Unit("rad or m")] = 0.0,
+        label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
+    ) -> None:
+        self.joint, self.noise, self.offset = robot.joint(joint), noise, offset
+        self.label, self.delay = label, delay
+        self.frame, self.unit = joint, self.joint.position_unit
+        self._row = np.zeros((1, int(robot.model.nv)))
+        self._row[0, self.joint.v] = 1.0
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """Position of the joint [rad or m], shape (1,)."""
+        return np.array((x.q[self.joint.q] + self.offset,))
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """Derivative by q, shape (1, nv)."""
+        return self._row
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """Of the noise [rad^2 or m^2], shape (1, 1)."""
+        return np.array(((self.noise**2,),))

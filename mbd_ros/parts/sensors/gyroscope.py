@@ -1,0 +1,64 @@
+"""Gyroscope on a link."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.sensor import Measures, Sensor
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotNegative, Unit, Vector
+from mbd_ros.core.state import Array, State
+
+_ANGULAR = slice(3, 6)  # of a spatial velocity
+
+
+class Gyroscope(Sensor):
+    """Angular velocity of a link, in axes of the link.
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link (or frame) in whose axes it measures.
+        noise: Standard deviation of each component.
+        offset: What it shows at rest, shape (3,).
+        label: What recordings and messages call it; empty for its name.
+        delay: From a measurement to its message.
+
+    Raises:
+        ModelError: Unknown frame.
+    """
+
+    example = {"frame": "foot", "noise": 0.01}
+    level = Measures.VELOCITY
+    reads = Reads.JACOBIAN
+    unit = "rad/s"
+    components = ("x", "y", "z")
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        noise: Annotated[NotNegative, Unit("rad/s")] = 0.01,
+        offset: Annotated[Vector, Unit("rad/s")] = (0.0, 0.0, 0.0),
+        label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
+    ) -> None:
+        self.point = robot.point(frame)
+        self.frame, self.noise = frame, noise
+        self.offset: Sequence[float] = offset
+        self.label, self.delay = label, delay
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """Angular velocity in the axes of the link [rad/s], shape (3,)."""
+        return self.jacobian(k, x).dot(x.v) + np.array(self.offset)
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """Derivative by v [rad/s per unit of v], shape (3, nv)."""
+        return k.own_jacobian(self.point)[_ANGULAR]
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """The same noise about all axes [(rad/s)^2], shape (3, 3)."""
+        return self.noise**2 * np.eye(3)

@@ -1,0 +1,76 @@
+"""Inertial measurement unit on a link: gyroscope and accelerometer."""
+
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.sensor import Measures, Sensor, specific_force
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotNegative, Unit, Vector
+from mbd_ros.core.state import Array, State
+
+_ANGULAR = slice(3, 6)  # of a spatial velocity
+
+
+class Imu(Sensor):
+    """Angular velocity, then specific force R' (a - g), both in axes of the link.
+
+    At rest it shows +9.81 m/s^2 upwards. Drift of its zeros is left out.
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link (or frame) in whose axes it measures.
+        xyz: Place in `frame`, shape (3,).
+        gyro_noise: Standard deviation of each component of the angular velocity.
+        acceleration_noise: Of each component of the specific force.
+        label: Topic of its messages; empty for `~/imu/<name>`.
+        delay: From a measurement to its message.
+
+    Raises:
+        ModelError: Unknown frame.
+    """
+
+    example = {"frame": "foot"}
+    level = Measures.ACCELERATION
+    reads = Reads.DRIFT
+    components = (
+        *("angular_velocity_x", "angular_velocity_y", "angular_velocity_z"),
+        *("linear_acceleration_x", "linear_acceleration_y", "linear_acceleration_z"),
+    )
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        xyz: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        gyro_noise: Annotated[NotNegative, Unit("rad/s")] = 0.01,
+        acceleration_noise: Annotated[NotNegative, Unit("m/s^2")] = 0.05,
+        label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
+    ) -> None:
+        self.point, self.frame, self.xyz = robot.point(frame, xyz), frame, xyz
+        self.gyro_noise, self.acceleration_noise = gyro_noise, acceleration_noise
+        self.label, self.delay = label, delay
+        self._gravity = robot.model.gravity.linear.copy()
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """Angular velocity [rad/s] and specific force [m/s^2], shape (6,).
+
+        Raises:
+            ModelError: Accelerations are not given.
+        """
+        felt = specific_force(self, k, self.point, now, self._gravity)
+        return np.concatenate((k.own_jacobian(self.point)[_ANGULAR].dot(x.v), felt))
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """Derivative by the accelerations of the joints, shape (6, nv)."""
+        by_a = k.rotation(self.point).T.dot(k.jacobian(self.point))
+        return np.vstack((np.zeros_like(by_a), by_a))
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """Of the noise [(rad/s)^2, (m/s^2)^2], shape (6, 6)."""
+        noise = np.repeat((self.gyro_noise, self.acceleration_noise), 3)
+        return np.diag(noise**2)

@@ -1,0 +1,85 @@
+"""Pose of a link, as a tracking system sees it."""
+
+from collections.abc import Sequence
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.sensor import Measures, Sensor
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.rotations import (
+    nearest_rotation_vector,
+    rotation_vector,
+    rotation_vector_slope,
+)
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotNegative, Unit, Vector
+from mbd_ros.core.state import Array, State
+
+
+class Pose(Sensor):
+    """Position of a point of a link in the world, then the orientation of the link.
+
+    The orientation is a rotation vector: along the axis, as long as the angle. Messages carry a
+    quaternion. Between pi and -pi it jumps, which estimators know.
+
+    Args:
+        robot: Robot of the scene.
+        frame: Link (or frame) that is seen.
+        xyz: Place in `frame`, shape (3,).
+        noise: Standard deviation of each component of the position.
+        turn_noise: Of the rotation about each axis.
+        label: Topic of its messages; empty for `~/pose/<name>`.
+        delay: From a measurement to its message.
+
+    Raises:
+        ModelError: Unknown frame.
+    """
+
+    example = {"frame": "foot"}
+    level = Measures.POSITION
+    reads = Reads.JACOBIAN
+    components = ("x", "y", "z", "rotation_x", "rotation_y", "rotation_z")
+    noise_varies = True
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        frame: str,
+        xyz: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
+        noise: Annotated[NotNegative, Unit("m")] = 0.001,
+        turn_noise: Annotated[NotNegative, Unit("rad")] = 0.005,
+        label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
+    ) -> None:
+        self.point, self.origin = robot.point(frame, xyz), robot.origin
+        self.frame = frame
+        self.xyz: Sequence[float] = xyz
+        self.noise, self.turn_noise = noise, turn_noise
+        self.label, self.delay = label, delay
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """Position [m] and rotation vector [rad] in the world, shape (6,)."""
+        place = k.position(self.point) + self.origin
+        return np.concatenate((place, rotation_vector(k.rotation(self.point))))
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """Derivative by q, shape (6, nv)."""
+        turning = k.own_jacobian(self.point)[3:]
+        slope = rotation_vector_slope(k.rotation(self.point))
+        return np.vstack((k.jacobian(self.point), slope.dot(turning)))
+
+    def near(self, values: Array, expected: Array) -> Array:
+        """The same pose with the rotation vector that is nearest to the expected one."""
+        if not np.isfinite(values[3:]).all():
+            return values
+        return np.concatenate((values[:3], nearest_rotation_vector(values[3:], expected[3:])))
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """Of the noise, the same about all axes [m^2, rad^2], shape (6, 6)."""
+        R, slope = np.zeros((6, 6)), rotation_vector_slope(k.rotation(self.point))
+        R[:3, :3] = self.noise**2 * np.eye(3)
+        R[3:, 3:] = self.turn_noise**2 * slope.dot(slope.T)
+        return R

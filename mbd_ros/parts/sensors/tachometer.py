@@ -1,0 +1,63 @@
+"""Tachometer on a joint."""
+
+from typing import Annotated
+
+import numpy as np
+
+from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts.sensor import Measures, Sensor
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.ranges import NotNegative, Unit
+from mbd_ros.core.state import Array, State
+
+
+class Tachometer(Sensor):
+    """Velocity of a joint, as the drive behind an encoder tells it.
+
+    Args:
+        robot: Robot of the scene.
+        joint: Joint that it is on.
+        noise: Standard deviation.
+        label: What recordings and messages call it; empty for its name.
+        delay: From a measurement to its message.
+
+    Raises:
+        ModelError: Unknown joint.
+    """
+
+    example = {"joint": "ankle", "noise": 0.01}
+    is_linear = True
+    level = Measures.VELOCITY
+
+    def __init__(
+        self,
+        robot: Robot,
+        *,
+        joint: str,
+        noise: Annotated[NotNegative, Unit("rad/s or m/s")] = 0.01,
+        label: str = "",
+        delay: Annotated[NotNegative, Unit("s")] = 0.0,
+    ) -> None:
+        self.joint, self.noise = robot.joint(joint), noise
+        self.label, self.delay = label, delay
+        self.frame, self.unit = joint, f"{self.joint.position_unit}/s"
+        self._row = np.zeros((1, int(robot.model.nv)))
+        self._none = np.zeros_like(self._row)
+        self._row[0, self.joint.v] = 1.0
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """Velocity of the joint [rad/s or m/s], shape (1,)."""
+        return np.array((x.v[self.joint.v],))
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """Derivative by v, shape (1, nv)."""
+        return self._row
+
+    def by_position(self, k: Kinematics, x: State) -> Array:
+        """Nothing, shape (1, nv)."""
+        return self._none
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """Of the noise [(rad/s)^2 or (m/s)^2], shape (1, 1)."""
+        return np.array(((self.noise**2,),))

@@ -1,0 +1,9 @@
+"""No stabilization: g'' = 0 and nothing else."""
+
+from mbd_ros.core.projection.stabilization import Stabilization
+
+
+class NoStabilization(Stabilization):
+    """Leaves violations to the integrator: they grow with time, quadratically in position."""
+
+    example: dict[str, float] = {}

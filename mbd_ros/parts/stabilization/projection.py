@@ -1,0 +1,22 @@
+"""Projection of position and velocity onto the constraints after every step."""
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.projection.assembly import project
+from mbd_ros.core.projection.stabilization import Stabilization
+from mbd_ros.core.state import State
+
+
+class Projection(Stabilization):
+    """Moves every state to the nearest consistent one in the mass metric.
+
+    Violations stay at rounding.
+
+    Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
+    """
+
+    projects = True
+    example: dict[str, float] = {}
+
+    def correct(self, system: System, x: State) -> State:
+        """The nearest state with g = 0 and g' = 0."""
+        return project(system, x)

@@ -1,0 +1,71 @@
+"""A scene in a few lines, for a prompt and for a notebook."""
+
+import html
+from collections.abc import Iterator, Mapping
+from textwrap import shorten
+from typing import TYPE_CHECKING
+
+from mbd_ros.scene.reading.building import parts_in
+from mbd_ros.scene.schema.sections import Section
+
+if TYPE_CHECKING:
+    from mbd_ros.scene.scene_parts import SceneParts
+
+_WIDTH, _LINES = 90, 9
+_TOLD = (
+    "gravity",
+    "robot",
+    "couplings",
+    "stabilization",
+    "solver",
+    "integrator",
+    "dt",
+    "initial",
+    "safe",
+)
+
+
+def scene_text(scene: "SceneParts") -> str:
+    """At most ten lines: the scene, and one for each of its sections."""
+    rows = list(_rows(scene))
+    if len(rows) > _LINES:
+        rest = ", ".join(label for label, _ in rows[_LINES - 1 :])
+        rows = [*rows[: _LINES - 1], ("and", shorten(rest, _WIDTH, placeholder=" .."))]
+    width = max(len(label) for label, _ in rows) + 2
+    return "\n".join([f"Scene {scene.name}", *(f"  {n:<{width}}{text}" for n, text in rows)])
+
+
+def scene_html(scene: "SceneParts") -> str:
+    """A table element; names are escaped, since they come from files of others."""
+    rows = "".join(
+        f"<tr><th>{html.escape(label)}</th><td>{html.escape(text)}</td></tr>"
+        for label, text in _rows(scene)
+    )
+    return f"<table><caption>{html.escape(f'Scene {scene.name}')}</caption>{rows}</table>"
+
+
+def _rows(scene: "SceneParts") -> Iterator[tuple[str, str]]:
+    """Section and its parts."""
+    robot, dependent = scene.robot, scene.couplings.dependent
+    yield (
+        "robot",
+        f"{robot.name} from {scene.source}, {robot.base_text}, joints: {len(robot.joints)}",
+    )
+    if dependent:
+        yield "couplings", _listed(dependent)
+    for section in scene.sections:
+        if section.key in scene.parts and section.key not in _TOLD:
+            yield section.key, _listed(_names(scene, section))
+    method = type(scene.integrator).__name__ if scene.integrator else "default integrator"
+    yield "run", f"{method}, dt {scene.dt:g} s, solver {scene.solver.type}"
+
+
+def _names(scene: "SceneParts", section: Section) -> tuple[str, ...]:
+    built = scene.parts[section.key]
+    if isinstance(built, Mapping):
+        return tuple(built)
+    return tuple(type(part).__name__ for part in parts_in(section, built))
+
+
+def _listed(names: tuple[str, ...]) -> str:
+    return shorten(f"{len(names)}: {', '.join(names)}", _WIDTH, placeholder=" ..")

@@ -1,0 +1,154 @@
+"""Actuators of a model -> actuators and forces with an input."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.scene.models.imported import Unexpressed
+from mbd_ros.scene.models.mjcf.defaults import ACTUATORS
+from mbd_ros.scene.models.mjcf.item import Item
+from mbd_ros.scene.models.mjcf.reading import Reading
+
+_SERVOS = ("position", "velocity", "intvelocity")
+_LAW = "its joint, tendon or site has an actuator, its law is left to a controller"
+_ENDS = ("joint", "jointinparent", "tendon", "site", "body", "cranksite")
+
+
+def read_actuators(reading: Reading, sections: dict[str, Any]) -> None:
+    """Add what drives joints, tendons and sites to `actuators` and `forces`.
+
+    Raises:
+        SceneError: An unknown joint, tendon or site, or values that are wrong.
+    """
+    for item in reading.items("actuator"):
+        if item.type not in ACTUATORS:
+            raise item.error(f"unknown element <{item.type}>, accepted: {', '.join(ACTUATORS)}")
+        try:
+            section, entry = _entry(reading, item)
+        except Unexpressed as error:
+            reading.leave_out(item, str(error))
+            continue
+        if entry.get("limit") == 0.0:
+            reading.leave_out(item, "its limit is 0")
+            continue
+        name = reading.names.part(item.name, "actuator")
+        sections[section].append({"name": name, **entry})
+        if _is_servo(item):
+            reading.leave_out(item, _LAW)
+        elif item.choice("dyntype", _DYNAMICS) != "none":
+            reading.leave_out(item, "its actuator is there, its activation is not")
+
+
+def add_rotors(reading: Reading, sections: dict[str, Any]) -> None:
+    """Give `armature` to the first actuator of each joint, or to one that nobody commands."""
+    drives = {
+        entry["joints"][0]: i
+        for i, entry in reversed(list(enumerate(sections["actuators"])))
+        if entry["type"] == "ideal"
+    }
+    for name, hinge in reading.tree.hinges.items():
+        is_plain = reading.tree.given.get(name) == [name]
+        inertia = hinge.item.number("armature", 0.0) if is_plain else 0.0
+        if inertia < 0.0:
+            raise hinge.item.error("armature is negative")
+        if not inertia or name in reading.fixed:
+            continue
+        motor = {"type": "geared_motor", "joint": name, "ratio": 1.0, "rotor_inertia": inertia}
+        if name in drives:
+            old = sections["actuators"][drives[name]]
+            limit = {"limit": old["limit"]} if "limit" in old else {}
+            sections["actuators"][drives[name]] = {"name": old["name"], **motor, **limit}
+        else:
+            title = reading.names.part(f"{name}_armature", "armature")
+            sections["actuators"].append({"name": title, **motor})
+
+
+_DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle", "user", "dcmotor")
+_GAINS = ("fixed", "affine", "muscle", "user", "dcmotor")
+_BIASES = ("none", "affine", "muscle", "user", "dcmotor")
+
+
+def _is_servo(item: Item) -> bool:
+    if item.type == "general":
+        return item.choice("biastype", _BIASES) != "none"
+    return item.type in _SERVOS
+
+
+def _entry(reading: Reading, item: Item) -> tuple[str, dict[str, Any]]:
+    if item.type not in ("general", "motor", *_SERVOS):
+        raise Unexpressed("a scene has no place for it")
+    if item.type == "general" and item.choice("gaintype", _GAINS) != "fixed":
+        raise Unexpressed(f"its gain is {item.text('gaintype')}")
+    if item.type == "general" and item.choice("biastype", _BIASES) not in ("none", "affine"):
+        raise Unexpressed(f"its bias is {item.text('biastype')}")
+    gear = item.vector("gear", (1.0, *[0.0] * 5), 1)
+    for key in _ENDS[:2]:
+        if key in item:
+            joint = reading.joint(item, key)
+            limit = min(abs(gear[0]) * _limit(reading, item), _most(reading, joint.item))
+            return "actuators", {"type": "ideal", "joints": [joint.name], **_kept(limit)}
+    if "tendon" in item:
+        limit = abs(gear[0]) * _limit(reading, item)
+        return "forces", {"type": "path_force", "path": _path(reading, item), **_kept(limit)}
+    if "site" in item:
+        return "forces", _at_site(reading, item, np.array(gear))
+    if not any(key in item for key in _ENDS):
+        raise item.error(f"it drives nothing, expected one of {', '.join(_ENDS)}")
+    raise Unexpressed("a scene has no place for what it drives")
+
+
+def _path(reading: Reading, item: Item) -> str:
+    name = item.text("tendon")
+    if name in reading.titles:
+        return reading.titles[name]
+    if all(one.name != name for one in reading.items("tendon")):
+        raise item.error(f"tendon: there is no tendon '{name}'")
+    raise Unexpressed(f"tendon '{name}' is left out")
+
+
+def _at_site(reading: Reading, item: Item, gear: Any) -> dict[str, Any]:
+    """A force, or a torque, in the axes of a site."""
+    body, site = reading.place(item, "site")
+    force, torque = gear[:3], gear[3:]
+    if "refsite" in item or (force.any() and torque.any()):
+        raise Unexpressed("it is no force alone and no torque alone")
+    if not reading.tree.moves(body):
+        raise Unexpressed("its site does not move")
+    reading.refuse_rigid(body, "world")
+    load, kind = (force, "force") if force.any() else (torque, "torque")
+    size = float(np.linalg.norm(load))
+    if size == 0.0:
+        raise Unexpressed("its gear is 0")
+    direction = (site.at.rotation @ load / size).tolist()
+    entry = {"frame": body, "kind": kind, "direction": direction}
+    if kind == "force":
+        entry["point"] = site.at.translation.tolist()
+    return {"type": "body_force", **entry, **_kept(size * _limit(reading, item))}
+
+
+def _limit(reading: Reading, item: Item) -> float:
+    """Largest force before the gear, in either direction."""
+    auto, limit = reading.compiler.autolimits, math.inf
+    if item.is_limited("forcelimited", "forcerange", auto):
+        limit = max(map(abs, item.vector("forcerange", (0.0, 0.0))))
+    dynamics = item.choice("dyntype", _DYNAMICS)
+    is_force = not _is_servo(item) and dynamics == "none"
+    if is_force and item.is_limited("ctrllimited", "ctrlrange", auto):
+        gain = 1.0
+        if item.type == "general" and "gainprm" in item:
+            gain = item.numbers("gainprm", 1, 10)[0]
+        limit = min(limit, abs(gain) * max(map(abs, item.vector("ctrlrange", (0.0, 0.0)))))
+    return limit
+
+
+def _most(reading: Reading, joint: Item) -> float:
+    """Largest force of all actuators of a joint."""
+    auto = reading.compiler.autolimits
+    if joint.is_limited("actuatorfrclimited", "actuatorfrcrange", auto):
+        return max(map(abs, joint.vector("actuatorfrcrange", (0.0, 0.0))))
+    return math.inf
+
+
+def _kept(limit: float) -> dict[str, float]:
+    return {"limit": limit} if limit < math.inf else {}

@@ -1,0 +1,210 @@
+"""Joints of a model: from parent to child, what is fixed and what moves by which coordinate."""
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.state import Array
+from mbd_ros.scene.models.functions import IDENTITY, Function, constant
+from mbd_ros.scene.models.motions import Motion, Step, X, Y, Z
+from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.osim.ellipsoid import on_ellipsoid, on_thorax
+from mbd_ros.scene.models.osim.frames import Attached, Frames, old_placement, socket
+from mbd_ros.scene.models.osim.functions import (
+    UnknownFunction,
+    function_in,
+    function_of,
+    is_function,
+    scaled,
+)
+from mbd_ros.scene.models.osim.item import Item
+from mbd_ros.scene.models.osim.motions import Coordinate, Joint
+
+
+def read_joints(model: Item, frames: Frames) -> list[Joint]:
+    """The joints of a model of any format.
+
+    Raises:
+        SceneError: Names file, joint and what is wrong.
+    """
+    found = [_joint(item, frames, "") for item in model.components("JointSet", ending="Joint")]
+    for body in model.objects("BodySet"):
+        for item in body.objects("Joint", "joint"):  # before 4.0 a body holds its joint
+            found.append(_joint(item, frames, body.name))
+    taken = Names()
+    return [_unique(joint, taken) for joint in found]
+
+
+def _unique(joint: Joint, taken: Names) -> Joint:
+    """The joint with coordinates of names that no joint before it has."""
+    names = {}
+    for one in joint.coordinates:
+        is_new = one.name not in taken
+        names[one.name] = taken.take(one.name if is_new else f"{joint.name}_{one.name}")
+    if all(name == other for name, other in names.items()):
+        return joint
+    steps = [
+        step._replace(coordinate=names.get(step.coordinate, ""))
+        if isinstance(step, Motion)
+        else step
+        for step in joint.steps
+    ]
+    coordinates = tuple(one._replace(name=names[one.name]) for one in joint.coordinates)
+    return joint._replace(coordinates=coordinates, steps=tuple(steps))
+
+
+def _joint(item: Item, frames: Frames, child: str) -> Joint:
+    parent = frames.attached(item, "parent_frame", "parent_body")
+    parent = Attached(
+        parent.body,
+        parent.at * old_placement(item, ("location_in_parent",), ("orientation_in_parent",)),
+    )
+    if child and not socket(item, "child_frame", "child_body"):
+        own = Attached(child, pin.SE3.Identity())
+    else:
+        own = frames.attached(item, "child_frame", "child_body")
+    inner = old_placement(
+        item, ("location_in_child", "location"), ("orientation_in_child", "orientation")
+    )
+    own = Attached(own.body, own.at * inner)
+    if parent.body == own.body:
+        raise item.error(f"its parent and its child are both '{own.body}'")
+    if item.flag("reverse"):
+        parent, own = own, parent
+    coordinates = _coordinates(item)
+    joint = Joint(item, item.name, parent, own, coordinates, ())
+    if item.type not in _STEPS:
+        return joint._replace(missing=f"{item.type}: held at its frames")
+    try:
+        steps = _STEPS[item.type](joint)
+    except UnknownFunction as error:
+        return joint._replace(missing=f"{error}: held at its frames")
+    return joint._replace(steps=tuple(steps))
+
+
+def _coordinates(item: Item) -> tuple[Coordinate, ...]:
+    """Those of the file; those that it leaves out have the names that OpenSim gives them."""
+    found = [_coordinate(one) for one in item.objects("coordinates", "CoordinateSet")]
+    for i in range(len(found), _COUNTS.get(item.type, 0)):
+        found.append(Coordinate(item, f"{item.name}_coord_{i}", 0.0, 0.0, None, False))
+    return tuple(found)
+
+
+def _coordinate(item: Item) -> Coordinate:
+    lower, upper = _range(item)
+    return Coordinate(
+        item,
+        item.name,
+        item.number("default_value", default=0.0),
+        item.number("default_speed_value", default=0.0),
+        (lower, upper) if item.flag("clamped") and lower < upper else None,
+        item.flag("locked"),
+    )
+
+
+def _range(item: Item) -> list[float]:
+    """Ends of the range, equal where it has none."""
+    words = item.words("range")
+    is_open = len(words) != 2 or any("inf" in word.lower() for word in words)
+    return [0.0, 0.0] if is_open else item.numbers("range")
+
+
+def _hinges(*motions: tuple[Array, bool, int]) -> Callable[[Joint], list[Step]]:
+    """Reader of a joint whose coordinates turn about axes and slide along them.
+
+    Args:
+        motions: Axis, whether it turns, and the place of its coordinate.
+    """
+
+    def steps(joint: Joint) -> list[Step]:
+        names = [coordinate.name for coordinate in joint.coordinates]
+        return [
+            Motion(f"{joint.name}_{names[at]}", axis, turns, IDENTITY, names[at])
+            for axis, turns, at in motions
+        ]
+
+    return steps
+
+
+def _custom(joint: Joint) -> list[Step]:
+    """Translations in the axes of the parent, then turns in the order of the file."""
+    transform = joint.item.find("SpatialTransform")
+    axes = list(joint.item.objects("TransformAxisSet") if transform is None else ())
+    if transform is not None:
+        axes = [axis for axis in transform.children() if axis.type == "TransformAxis"]
+    turns, slides = list[Step](), list[Step]()
+    for axis in axes:
+        is_turn = _is_turn(axis, transform is None)
+        kind, endings = (turns, _TURN_NAMES) if is_turn else (slides, _SLIDE_NAMES)
+        if len(kind) == len(endings):
+            raise joint.item.error(f"{axis.title}: more than three axes of a kind")
+        kind.append(_motion(joint, axis, f"{joint.name}_{endings[len(kind)]}", is_turn))
+    return [*slides, *turns]
+
+
+def _is_turn(axis: Item, is_old: bool) -> bool:
+    return axis.flag("is_rotation", default=True) if is_old else axis.name.startswith("rot")
+
+
+def _motion(joint: Joint, axis: Item, name: str, turns: bool) -> Motion:
+    direction = np.array(axis.vector("axis", default=None))
+    length = float(np.linalg.norm(direction))
+    coordinates = axis.words("coordinates", "coordinate")
+    own = {coordinate.name for coordinate in joint.coordinates}
+    unknown = [one for one in coordinates if one not in own]
+    if unknown:
+        raise joint.item.error(f"{axis.title}: no coordinate '{unknown[0]}' in this joint")
+    function = _function(axis, bool(coordinates))
+    if function.constant is None and len(coordinates) != 1:
+        raise UnknownFunction(f"function of {len(coordinates)} coordinates in {axis.title}")
+    if length == 0.0:
+        if function.constant != 0.0:
+            raise joint.item.error(f"{axis.title}: <axis> is zero")
+        return Motion(name, X, turns, constant(0.0), "")
+    if not turns and length != 1.0:
+        function = scaled(function, length)
+    moves = function.constant is None
+    return Motion(name, direction / length, turns, function, coordinates[0] if moves else "")
+
+
+def _function(axis: Item, moves: bool) -> Function:
+    own = [one for one in axis.children() if one.name == "function" and is_function(one)]
+    if own:
+        return function_of(own[0])
+    holder = axis.find("function")
+    has_one = holder is not None and len(holder.element) > 0
+    if not moves and not has_one:
+        return constant(0.0)
+    others = [one for one in axis.children() if one.name == "function"]
+    if others:
+        raise UnknownFunction(f"function {others[0].type}")
+    return function_in(holder)
+
+
+_TURN_NAMES, _SLIDE_NAMES = ("r1", "r2", "r3"), ("tx", "ty", "tz")
+_TURNS = [(axis, True, i) for i, axis in enumerate((X, Y, Z))]
+_SLIDES = [(axis, False, 3 + i) for i, axis in enumerate((X, Y, Z))]
+_STEPS: Mapping[str, Callable[[Joint], Sequence[Step]]] = {
+    "WeldJoint": _hinges(),
+    "PinJoint": _hinges((Z, True, 0)),
+    "SliderJoint": _hinges((X, False, 0)),
+    "UniversalJoint": _hinges(*_TURNS[:2]),
+    "GimbalJoint": _hinges(*_TURNS),
+    "BallJoint": _hinges(*_TURNS),
+    "PlanarJoint": _hinges((X, False, 1), (Y, False, 2), (Z, True, 0)),
+    "FreeJoint": _hinges(*_SLIDES, *_TURNS),
+    "CustomJoint": _custom,
+    "EllipsoidJoint": on_ellipsoid,
+    "ScapulothoracicJoint": on_thorax,
+}
+_COUNTS = {
+    **{"PinJoint": 1, "SliderJoint": 1, "UniversalJoint": 2, "PlanarJoint": 3},
+    **{
+        "GimbalJoint": 3,
+        "BallJoint": 3,
+        "FreeJoint": 6,
+        "EllipsoidJoint": 3,
+        "ScapulothoracicJoint": 4,
+    },
+}

@@ -1,0 +1,96 @@
+"""What is known while the sections of a model are read: its frames, joints, names, left-outs."""
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from mbd_ros.scene.models.imported import LeftOut, Unexpressed
+from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.osim.frames import Attached, Frames, socket
+from mbd_ros.scene.models.osim.item import Item
+from mbd_ros.scene.models.osim.mechanism import Mechanism
+
+FORCES = ("Force", "Muscle", "Actuator", "Spring", "Ligament")
+
+
+class Reading:
+    """A model that is being read.
+
+    Args:
+        model: The `<Model>`.
+        frames: Its bodies and offset frames.
+        mechanism: Its joints.
+        fixed: Coordinates that do not move -> position [rad or m].
+
+    Attributes:
+        joints: Names of the joints of the scene.
+        turning: Those that turn.
+        held: Coordinates that move nothing.
+        carriers: Link -> the joint that carries it, empty for ground.
+        left_out: Elements that the scene does not have.
+        names: Of joints and parts.
+        closures: Name of a joint that closes a loop -> the constraint in its place.
+    """
+
+    def __init__(
+        self, model: Item, frames: Frames, mechanism: Mechanism, fixed: Mapping[str, float]
+    ) -> None:
+        self.model, self.frames, self.fixed = model, frames, fixed
+        self.joints = {joint.name for joint in mechanism.joints}
+        self.turning = {j.name for j in mechanism.joints if j.motion and j.motion.turns}
+        self.held = mechanism.coordinates.keys() - self.joints - fixed.keys()
+        self.carriers = mechanism.carriers(fixed)
+        self.left_out: list[LeftOut] = []
+        self.names = Names(self.joints)
+        self.closures: Mapping[str, dict[str, Any]] = {}
+
+    def leave_out(self, item: Item, reason: str) -> None:
+        """Note that the scene does not have an element."""
+        self.left_out.append(LeftOut(item.type, item.name, reason))
+
+    def attached(self, item: Item, *sockets: str) -> Attached:
+        """The frame that an element names.
+
+        Raises:
+            SceneError: It names none, or one that is not there.
+        """
+        return self.frames.attached(item, *sockets)
+
+    def refuse_rigid(self, a: Attached, b: Attached | None) -> None:
+        """Refuse two frames, or one and ground, that no joint moves against each other.
+
+        Raises:
+            Unexpressed: Always then.
+        """
+        ends = {self.carriers[end.body] if end else "" for end in (a, b)}
+        if len(ends) == 1:
+            raise Unexpressed("its bodies do not move against each other")
+
+    def coordinate(self, item: Item, *sockets: str) -> str:
+        """The coordinate that an element names by its name or by a path to it.
+
+        Raises:
+            SceneError: It names none, or one that is not there.
+        """
+        path = socket(item, *sockets)
+        name = path.rstrip("/").split("/")[-1]
+        if name in self.held:
+            raise Unexpressed(f"'{name}' moves nothing")
+        if name not in self.joints and name not in self.fixed:
+            known = ", ".join(sorted(self.joints))
+            raise item.error(f"there is no coordinate '{path}'; there are {known}")
+        return name
+
+    def forces_given(self) -> Iterator[Item]:
+        """The elements of the force set, and other components that are forces."""
+        yield from self.model.objects("ForceSet")
+        for holder in ("components", "ComponentSet"):
+            for item in self.model.objects(holder):
+                if item.type.endswith(FORCES):
+                    yield item
+
+    def forces(self) -> Iterator[Item]:
+        """The elements of the force set that act."""
+        for item in self.forces_given():
+            acts = item.flag("appliesForce", default=not item.flag("isDisabled"))
+            if acts:
+                yield item

@@ -1,0 +1,162 @@
+"""A scene with other numbers: `<name>.<argument>`, of which only the parts are built again."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.from_python import changed_origin, plain, rebuilt, with_inertias
+from mbd_ros.scene.reading.building import Kept, Origin, parts_in
+from mbd_ros.scene.schema.nearest import nearest
+from mbd_ros.scene.schema.sections import SECTIONS, Form, Section, keys
+
+_OF_LINKS = ("mass", "com", "inertia")
+
+
+class Place(NamedTuple):
+    """Where an entry stands: its section, and its place or key there, None where it is alone."""
+
+    section: str
+    at: int | str | None = None
+
+
+def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
+    """A scene with other numbers; parts, and sections that depend on none of them, are kept.
+
+    Args:
+        scene: The scene.
+        numbers: Numbers, or lists of them, by `<name>.<argument>`; inertias of links by
+            `<link>.mass`, `.com` and `.inertia`; where the argument is a
+            mapping, by `<name>.<argument>.<key>`.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    origin, places = changed_origin(scene), places_of(scene)
+    numbers, inertias = _without_inertias(scene, origin, places, numbers)
+    if inertias:
+        scene = with_inertias(scene, inertias)
+    if not numbers:
+        return scene
+    entries, changed = dict(scene.entries), set[Place]()
+    for key, number in numbers.items():
+        place, path = found_place(origin, places, key)
+        value = plain(number, f"{origin.name}: {key}")
+        if not _is_number(value):
+            raise SceneError(f"{origin.name}: {key}: expected a number, got {value!r}")
+        set_value(entries, place, path, value)
+        changed.add(place)
+    touched = [
+        section for section in scene.sections if section.key in {p.section for p in changed}
+    ]
+    made = (
+        Kept()
+    )  # what is no part of its own, such as a path, may be what other parts are made of
+    if all(section.has_types for section in touched):
+        made = Kept(parts={section.key: _others(scene, section, changed) for section in touched})
+        found = rebuilt(scene, origin, entries, keys(touched), made, keys(SECTIONS))
+        if np.array_equal(found.robot.model.armature, scene.robot.model.armature):
+            return found  # of other parts, ours depend on the inertia of drives only
+    return rebuilt(scene, origin, entries, keys(touched), made)
+
+
+def _without_inertias(
+    scene: Scene, origin: Origin, places: Mapping[str, Place], numbers: Mapping[str, Any]
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Numbers of parts, and inertias of links: `<link>.mass`, `.com` and `.inertia`.
+
+    The inertia is about the mass centre and in the axes of the link: xx, xy, xz, yy, yz, zz, or
+    3 x 3; what is not given stays, moments keep their share of the mass.
+    """
+    asked = [key for key in numbers if str(key).rpartition(".")[2] in _OF_LINKS]
+    asked = [key for key in asked if str(key).rpartition(".")[0] not in places]
+    if not asked:
+        return dict(numbers), {}
+    links, changed = scene.robot.inertias(), dict[str, Any]()
+    for key in asked:
+        link, _, word = str(key).rpartition(".")
+        if link not in links:
+            close = ", ".join(nearest(link, [*places, *links]) or links)
+            raise SceneError(
+                f"{origin.name}: {key}: nothing is called '{link}'; there are {close}"
+            )
+        value = plain(numbers[key], f"{origin.name}: {key}")
+        if not _is_number(value):
+            raise SceneError(f"{origin.name}: {key}: expected a number, got {value!r}")
+        given = links[link]
+        mass, centre, moments = changed.get(link, (given.mass, given.lever, given.inertia))
+        if word == "mass":
+            share = value / mass if f"{link}.inertia" not in numbers and mass else 1.0
+            mass, moments = value, share * np.asarray(moments)
+        changed[link] = {
+            "mass": (mass, centre, moments),
+            "com": (mass, value, moments),
+            "inertia": (mass, centre, _tensor(value)),
+        }[word]
+    return {key: value for key, value in numbers.items() if key not in asked}, changed
+
+
+def _tensor(value: Any) -> Any:
+    """3 x 3 of six moments."""
+    if not isinstance(value, list) or len(value) != 6 or isinstance(value[0], list):
+        return value
+    xx, xy, xz, yy, yz, zz = value
+    return [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]
+
+
+def places_of(scene: Scene) -> dict[str, Place]:
+    """Name -> place of every entry of which parts were built."""
+    found: dict[str, Place] = {}
+    for section in scene.sections:
+        given, built = scene.entries.get(section.key, {}), scene.parts.get(section.key)
+        if section.form is Form.SINGLE:
+            found.setdefault(section.key, Place(section.key))
+        elif section.form is Form.NAMED:
+            found |= {name: Place(section.key, name) for name in given}
+        elif built is not None and len(built) == len(given):  # else it holds parts of others
+            found |= {part.name: Place(section.key, i) for i, part in enumerate(built)}
+    return found
+
+
+def found_place(origin: Origin, places: Mapping[str, Place], key: Any) -> tuple[Place, list[str]]:
+    """Where the number of a key stands: its entry, and the way to it in there.
+
+    Raises:
+        SceneError: Nothing is called so; names what is close.
+    """
+    name, *path = str(key).split(".")
+    if not path or "" in path:
+        raise SceneError(f"{origin.name}: expected <name>.<argument>, got {key!r}")
+    if name not in places:
+        close = ", ".join(nearest(name, places) or places)
+        raise SceneError(f"{origin.name}: {key}: nothing is called '{name}'; there are {close}")
+    return places[name], path
+
+
+def _is_number(value: Any) -> bool:
+    if isinstance(value, list):
+        return all(_is_number(one) for one in value)
+    return type(value) in (int, float)
+
+
+def set_value(entries: dict[str, Any], place: Place, path: list[str], value: Any) -> None:
+    """Write into copies of what holds the value; the entries of the other scene stay."""
+    inner: Any = entries
+    *steps, last = (place.section, *([] if place.at is None else [place.at]), *path)
+    for step in steps:
+        held = inner.get(step) if isinstance(inner, dict) else inner[step]
+        inner[step] = held.copy() if isinstance(held, dict | list) else {}
+        inner = inner[step]
+    inner[last] = value
+
+
+def _others(scene: Scene, section: Section, changed: set[Place]) -> dict[Any, Any]:
+    """Parts of a section whose entries do not change."""
+    if section.form is Form.SINGLE or not section.has_types:
+        return {}
+    built = scene.parts[section.key]
+    places = built if isinstance(built, Mapping) else range(len(built))
+    every = zip(places, parts_in(section, built), strict=True)
+    return {at: part for at, part in every if Place(section.key, at) not in changed}

@@ -1,0 +1,232 @@
+"""Entries of a file -> built sections, by the table of sections."""
+
+import importlib
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.reading.part_names import refuse_repeated
+from mbd_ros.scene.schema.code_permission import code_of_others, require_permission
+from mbd_ros.scene.schema.sections import SECTIONS, Form, Section, keys, ordered
+
+if TYPE_CHECKING:
+    from mbd_ros.scene.built_scene import Scene
+    from mbd_ros.scene.models.model_entry import Model
+
+NO_FILE = "scene"  # what messages call a scene that no file holds
+
+
+class Origin(NamedTuple):
+    """Source of a scene or a task.
+
+    Attributes:
+        path: The file, None where the sections come from Python.
+        description: URDF that came with it: from a topic, or from Python.
+        task_of: The scene that a task is asked of, None for a scene.
+        title: For the messages, where there is no file.
+        base: Folder from which relative paths start, where there is no file.
+        model: What the robot was read from, where its file brings sections too.
+    """
+
+    path: Path | None = None
+    description: str | None = None
+    task_of: "Scene | None" = None
+    title: str = NO_FILE
+    base: Path = Path()
+    model: "Model | None" = None
+
+    @property
+    def name(self) -> str:
+        """For the messages."""
+        return self.title if self.path is None else str(self.path)
+
+    @property
+    def folder(self) -> Path:
+        """Folder from which relative paths start."""
+        return self.base if self.path is None else self.path.parent
+
+
+class Site(NamedTuple):
+    """The knowledge of the builder of a section.
+
+    Attributes:
+        section: Its line of the table.
+        origin: The file, or where else the entries came from.
+        robot: The robot with the inertia of the drives that are built; None before it is.
+        parts: The sections that are built, by key.
+        kept: Parts of this section that are built already, by their place in the list or by their
+            key; a builder may build them again.
+    """
+
+    section: Section
+    origin: Origin
+    robot: Robot | None
+    parts: Mapping[str, Any]
+    kept: Mapping[Any, Any] = MappingProxyType({})
+
+    @property
+    def where(self) -> str:
+        """File and key, for the messages."""
+        return f"{self.origin.name}: {self.section.key}"
+
+
+class Table(NamedTuple):
+    """The sections that some entries have.
+
+    Attributes:
+        sections: Those of this package, then those of others.
+        code: Key -> `module:NAME` of what comes from outside this package.
+    """
+
+    sections: tuple[Section, ...]
+    code: Mapping[str, str]
+
+
+class Kept(NamedTuple):
+    """What is built already.
+
+    Attributes:
+        sections: Whole sections by key.
+        parts: Parts of others: by key of the section, then as in `Site.kept`.
+    """
+
+    sections: Mapping[str, Any] = MappingProxyType({})
+    parts: Mapping[str, Mapping[Any, Any]] = MappingProxyType({})
+
+
+class Built(NamedTuple):
+    """Built sections.
+
+    Attributes:
+        parts: By key.
+        robot: The robot with the inertia of all drives; None without a section `robot`.
+    """
+
+    parts: dict[str, Any]
+    robot: Robot | None
+
+
+def foreign_keys(origin: Origin, entries: Mapping[str, Any]) -> dict[str, str]:
+    """Key -> entry point of those sections that other packages declare; nothing is imported.
+
+    Raises:
+        SceneError: A key that nobody knows.
+    """
+    unknown = [key for key in entries if key not in keys(SECTIONS)]
+    foreign = _declared(unknown)
+    refuse_unknown(origin, [key for key in unknown if key not in foreign], SECTIONS)
+    return foreign
+
+
+def table_of(origin: Origin, entries: Mapping[str, Any], foreign: Mapping[str, str]) -> Table:
+    """The table of the sections that a scene has, those of other packages included.
+
+    Args:
+        origin: Where the entries come from.
+        entries: By key.
+        foreign: As `foreign_keys` gives it.
+
+    Raises:
+        SceneError: Code of others that nobody permitted, or that is no section.
+    """
+    code = {**foreign, **code_of_others(entries, tuple(foreign))}
+    require_permission(origin.name, code)
+    return Table((*SECTIONS, *_imported(origin, foreign)), code)
+
+
+def refuse_unknown(origin: Origin, unknown: Sequence[str], table: Sequence[Section]) -> None:
+    """Refuse the first of the keys that are in no table.
+
+    Raises:
+        SceneError: Names it and what is accepted.
+    """
+    if unknown:
+        accepted = ", ".join(keys(table))
+        raise SceneError(f"{origin.name}: unknown key '{unknown[0]}', accepted: {accepted}")
+
+
+def present(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries without those that are null."""
+    return {key: entry for key, entry in entries.items() if entry is not None}
+
+
+def build(
+    origin: Origin,
+    entries: Mapping[str, Any],
+    table: Sequence[Section],
+    kept: Kept = Kept(),  # noqa: B008, a constant
+) -> Built:
+    """Build the sections from their entries, in the order that `after` demands.
+
+    Args:
+        origin: Where the entries come from.
+        entries: By key.
+        table: The sections.
+        kept: What is built already.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    parts: dict[str, Any] = {}
+    robot: Robot | None = None
+    for section in ordered(table):
+        given = entries.get(section.key, section.absent)
+        if section.key in kept.sections:
+            parts[section.key] = kept.sections[section.key]
+        elif given is not None:
+            site = Site(section, origin, robot, parts, kept.parts.get(section.key, {}))
+            parts[section.key] = _builder(section)(site, given)
+        else:
+            continue
+        if section.key == "robot":
+            robot = parts["robot"]
+        elif robot is not None:
+            robot = _with_armature(robot, parts_in(section, parts[section.key]))
+    if origin.task_of is None:  # parts of a task have no names
+        refuse_repeated(origin.name, parts, robot)
+    return Built(parts, robot)
+
+
+def parts_in(section: Section, built: Any) -> tuple[Any, ...]:
+    """The parts of a section, whatever its form."""
+    if section.form is Form.LIST:
+        return tuple(built)
+    if section.form is Form.NAMED and isinstance(built, Mapping):
+        return tuple(built.values())
+    return (built,)
+
+
+def _builder(section: Section) -> Any:
+    module, _, name = section.build.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _declared(unknown: Sequence[str]) -> dict[str, str]:
+    if not unknown:
+        return {}
+    from mbd_ros.scene.schema.foreign_sections import declared
+
+    return declared(unknown)
+
+
+def _imported(origin: Origin, foreign: Mapping[str, str]) -> list[Section]:
+    if not foreign:
+        return []
+    from mbd_ros.scene.schema.foreign_sections import import_section
+
+    return [import_section(key, target, origin.name) for key, target in foreign.items()]
+
+
+def _with_armature(robot: Robot, parts: Sequence[Any]) -> Robot:
+    """The robot with the inertia that drives among the parts add to its joints."""
+    drives = [part for part in parts if hasattr(part, "armature")]
+    added = sum(drive.armature() for drive in drives)
+    if not drives or not added.any():
+        return robot
+    model = robot.model.copy()
+    model.armature = model.armature + added
+    return replace(robot, model=model)

@@ -1,0 +1,74 @@
+"""Files of learned models that parts name."""
+
+import typing
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.learned.known_physics import check_physics, physics_of
+from mbd_ros.core.learned.model_file import LARGEST, About, LearnedFile
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.locate import find_file
+
+if TYPE_CHECKING:
+    from mbd_ros.scene.built_scene import Scene
+
+
+def with_files(part: type, entry: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
+    """An entry with contents of files in place of their names, for arguments of `LearnedFile`.
+
+    Args:
+        part: The class that takes the entry.
+        entry: What the file holds.
+        where: File and key, for the messages.
+        folder: From which relative names start.
+
+    Raises:
+        SceneError: A name of no file, or of one that is too large.
+    """
+    hints, found = typing.get_type_hints(part.__init__), dict(entry)
+    for key in found.keys() & hints.keys():
+        if hints[key] is LearnedFile and not isinstance(found[key], LearnedFile):
+            name: str = schema.value(found[key], str, f"{where}.{key}")
+            found[key] = _read(find_file(folder, name, f"{where}.{key}"), f"{where}.{key}")
+    return found
+
+
+def physics_beside(scene: "Scene", said: About) -> dict[str, list[float]]:
+    """What the scene exerts beside a model, see `physics_of`."""
+    given = scene.parts.get("forces", ())
+    others = [part for part in given if not is_learned(part)]
+    return physics_of(scene.robot, scene.couplings, others, said)
+
+
+def is_learned(part: Load) -> bool:
+    """Whether a part is a learned model."""
+    return isinstance(getattr(part, "said", None), About)
+
+
+def check_models(scene: "Scene") -> None:
+    """Refuse models that were learned beside other forces than those of the scene.
+
+    Raises:
+        SceneError: Names the scene, the file and what differs.
+    """
+    for part in filter(is_learned, scene.parts.get("forces", ())):
+        try:
+            check_physics(part.file, part.said, physics_beside(scene, part.said))
+        except ModelError as error:
+            raise SceneError(f"{scene.name}: forces: {error}") from error
+
+
+def _read(path: Path, where: str) -> LearnedFile:
+    try:
+        if not path.is_file():
+            raise SceneError(f"{where}: {path} is no file")
+        with path.open("rb") as file:
+            content = file.read(LARGEST + 1)
+    except OSError as error:
+        raise SceneError(f"{where}: {path} cannot be read: {error.strerror}") from error
+    if len(content) > LARGEST:
+        raise SceneError(f"{where}: {path} has more than {LARGEST} bytes")
+    return LearnedFile(str(path), content)

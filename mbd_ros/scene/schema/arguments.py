@@ -1,0 +1,95 @@
+"""The arguments of a constructor, with their annotations and texts.
+
+They are the only home of kind, default, range, unit, choices and text. Code that offers a part to
+somebody else (a node its gains, for example) reads them here.
+"""
+
+import inspect
+import math
+import types
+import typing
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+from mbd_ros.core.ranges import described
+from mbd_ros.errors import ModelError
+from mbd_ros.scene.schema.docstrings import entries
+
+_KINDS = (bool, int, float, str)
+ACCEPTED = "float, int, bool, str, Literal of texts, or Gain (a float, or one a joint)"
+
+
+class Argument(NamedTuple):
+    """One argument of a constructor.
+
+    Attributes:
+        name: As the constructor spells it.
+        kind: bool, int, float or str.
+        per_joint: Whether it may have one value a joint.
+        default: None where there is none.
+        low: Smallest number accepted.
+        high: Largest number accepted.
+        unit: Empty where the annotation states none.
+        choices: The texts accepted; empty accepts any.
+        text: The entry of the docstring in one line; empty without one.
+    """
+
+    name: str
+    kind: type
+    per_joint: bool
+    default: Any
+    low: float
+    high: float
+    unit: str
+    choices: tuple[str, ...]
+    text: str
+
+
+def arguments(
+    constructor: Callable[..., Any], skip: int = 0, only: Sequence[str] | None = None
+) -> tuple[Argument, ...]:
+    """The arguments of a class, in the order of its constructor.
+
+    Args:
+        constructor: A class, a NamedTuple too, or a function.
+        skip: Number of first arguments to leave out: those that no user gives.
+        only: Names of the arguments that are read; None reads all.
+
+    Raises:
+        ModelError: An argument has no annotation, or one of another kind than `ACCEPTED`.
+    """
+    is_class = inspect.isclass(constructor)
+    made_by = constructor.__init__ if is_class else constructor  # type: ignore[misc]
+    fields = hasattr(constructor, "_fields")  # the hints of a NamedTuple stand in its class
+    hints = typing.get_type_hints(constructor if fields else made_by, include_extras=True)
+    texts = entries(constructor.__doc__, "Attributes" if fields else "Args")
+    texts = texts or entries(made_by.__doc__)
+    parameters = list(inspect.signature(constructor).parameters.values())[skip:]
+    wanted = [p for p in parameters if only is None or p.name in only]
+    return tuple(_argument(p, hints.get(p.name), texts.get(p.name, "")) for p in wanted)
+
+
+def _argument(parameter: inspect.Parameter, hint: Any, text: str) -> Argument:
+    kind, within, unit, _ = described(hint)
+    origin, inner = typing.get_origin(kind), typing.get_args(kind)
+    choices: tuple[str, ...] = ()
+    is_gain = origin in (types.UnionType, typing.Union) and _is_per_joint(inner)
+    if is_gain:
+        kind = float
+    elif origin is Literal and all(isinstance(choice, str) for choice in inner):
+        kind, choices = str, inner
+    elif origin in (types.UnionType, typing.Union) and str in inner:
+        kind = str  # a file; from Python also what it holds
+    is_keyword = parameter.kind in (parameter.KEYWORD_ONLY, parameter.POSITIONAL_OR_KEYWORD)
+    if kind not in _KINDS or not is_keyword:
+        given = "no annotation" if hint is None else f"the annotation {hint}"
+        raise ModelError(f"argument '{parameter.name}' has {given}; accepted: {ACCEPTED}")
+    default = None if parameter.default is parameter.empty else parameter.default
+    low, high = within[:2] if within else (-math.inf, math.inf)
+    return Argument(parameter.name, kind, is_gain, default, low, high, unit, choices, text)
+
+
+def _is_per_joint(members: Sequence[Any]) -> bool:
+    """Whether a union is that of `Gain`: a float, or a sequence of them."""
+    lists = [m for m in members if typing.get_args(m) == (float,)]
+    return len(members) == 2 and float in members and len(lists) == 1

@@ -1,9 +1,0 @@
-"""No stabilization: g'' = 0 and nothing else."""
-
-from mbd_ros.core.projection.stabilizing import Stabilization
-
-
-class NoStabilization(Stabilization):
-    """Leaves violations to the integrator: they grow with time, quadratically in position."""
-
-    example: dict[str, float] = {}
