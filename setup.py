@@ -31,8 +31,8 @@ setup(
     packages=find_packages(include=[NAME, f"{NAME}.*", "msg_adapters"]),
     package_data={
         f"{NAME}.compiled": ["*/*.c", "*/*.h"],
-        f"{NAME}.report": ["*.css"],
-        f"{NAME}.report.precision": ["*.json"],
+        f"{NAME}.applications.report": ["*.css"],
+        f"{NAME}.applications.report.precision": ["*.json"],
     },
     data_files=shared_files(),
     python_requires=">=3.10",

@@ -113,7 +113,7 @@ def test_every_section_of_the_registry_has_a_contract():
 @every_part
 def test_part_lives_in_a_file_of_its_name_in_the_folder_of_its_section(section, name):
     part = resolve(section, name, "here")
-    assert part.__module__ == f"mbd_ros.{section}.{name}"
+    assert part.__module__ == f"mbd_ros.parts.{section}.{name}"
     assert part.__name__ in (
         "".join(word.capitalize() for word in name.split("_")),
         "NoStabilization",

@@ -42,7 +42,7 @@ def test_a_part_of_an_earlier_version_is_told_where_a_module_is_now(tmp_path, mo
 @pytest.mark.parametrize(
     ("old", "new"),
     [
-        ("mbd_ros.core.forward.loads", "mbd_ros.core.loads.loads"),
+        ("mbd_ros.core.forward.system", "mbd_ros.core.dynamics.system"),
         ("mbd_ros.core.forward.row_factor", "mbd_ros.core.rows.row_factor"),
     ],
 )

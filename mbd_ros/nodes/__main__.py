@@ -3,8 +3,8 @@
 import sys
 
 from mbd_ros.errors import BAD_INPUT
+from mbd_ros.nodes.start import start_node
 from mbd_ros.nodes.table import NODES
-from mbd_ros.programs import start_node
 
 if __name__ == "__main__":
     name = sys.argv[1] if len(sys.argv) > 1 else ""

@@ -22,10 +22,11 @@ from mbd_ros.motion.inverse_solution import solve_motion
 from mbd_ros.motion.open_chains import Violations
 from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.samples import Task
+from mbd_ros.motion.stance_option import stance_of
 from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
-    from mbd_ros.motion.unmeasured_contacts import StanceTask
+    pass
 
 
 def inverse(
@@ -133,19 +134,6 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
     from mbd_ros.features.inverse_dynamics.streamed import stream  # loads rosbags
 
     return stream(scene, task, task.motion, out, say)
-
-
-def stance_of(method: str | None, gap: float | None, speed: float | None) -> "StanceTask | None":
-    """What is asked of feet on the ground; None for nothing.
-
-    Raises:
-        DataError: Names the option and what is accepted.
-    """
-    if method is gap is speed is None:
-        return None
-    from mbd_ros.motion.unmeasured_contacts import stance_task  # only where something touches
-
-    return stance_task(method, gap, speed)
 
 
 def run_inverse(scene: Scene, task: Task, say: Say) -> Result:

@@ -4,14 +4,14 @@ import argparse
 from typing import TYPE_CHECKING
 
 from mbd_ros.errors import OK
-from mbd_ros.features.inverse_dynamics.command import (
+from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.lines import say
+from mbd_ros.motion.options import (
     add_derivatives,
     add_stance,
     add_time_range,
     add_wrench_axes,
 )
-from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
 from mbd_ros.scene.schema.locate import path_word
 
 if TYPE_CHECKING:
@@ -142,11 +142,11 @@ def _mesh_task(arguments: argparse.Namespace) -> "MeshTask | None":
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.inverse_dynamics.job import stance_of
     from mbd_ros.features.loads.job import LoadsTask
     from mbd_ros.features.loads.writing import loads_to
     from mbd_ros.motion.derivatives import Derivatives
     from mbd_ros.motion.samples import Task
+    from mbd_ros.motion.stance_option import stance_of
     from mbd_ros.scene.reader import load_scene
 
     given = arguments

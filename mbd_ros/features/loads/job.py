@@ -8,7 +8,6 @@ import numpy as np
 
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DataError, ModelError, SceneError, SolveError
-from mbd_ros.features.inverse_dynamics.job import stance_of
 from mbd_ros.features.loads.acting_wrenches import CONTACT, ActingWrenches, Named
 from mbd_ros.features.loads.columns import about_body, tables_of
 from mbd_ros.features.loads.fem.units import units_of
@@ -24,6 +23,7 @@ from mbd_ros.motion.inverse_solution import Solved, solve_motion
 from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.samples import Task
+from mbd_ros.motion.stance_option import stance_of
 from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:

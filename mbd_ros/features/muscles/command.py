@@ -5,15 +5,15 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.errors import OK
-from mbd_ros.features.inverse_dynamics.command import (
+from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.lines import say
+from mbd_ros.jobs.workers.arguments import add_workers
+from mbd_ros.motion.options import (
     add_derivatives,
     add_motions,
     add_time_range,
     add_wrench_axes,
 )
-from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
-from mbd_ros.jobs.workers.arguments import add_workers
 from mbd_ros.scene.schema.locate import path_word
 
 _OPTIONS = (  # keys of the section `muscles` of a task file

@@ -110,7 +110,7 @@ def embedded_scenes() -> dict[str, Path]:
 
 def _own_shares() -> list[Path]:
     """Where this very copy of the package may have its data: a checkout, a folder, a prefix."""
-    above = Path(__file__).resolve().parents[2:6]
+    above = Path(__file__).resolve().parents[3:7]
     return [above[0], *(folder / "share" / "mbd_ros" for folder in above)]
 
 

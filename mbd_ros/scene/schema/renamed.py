@@ -17,7 +17,6 @@ RENAMED: Mapping[str, Mapping[str, str]] = {  # kind -> old name -> new name
         "mbd_ros.core.forward.row_factor": "mbd_ros.core.rows.row_factor",
         "mbd_ros.core.forward.row_order": "mbd_ros.core.rows.row_layout",
         "mbd_ros.core.forward": "mbd_ros.core.dynamics",
-        "mbd_ros.core.inverse_dynamics": "mbd_ros.core.inverse_dynamics.inverse_dynamics",
         "mbd_ros.core.laws": "mbd_ros.core.model.coupling_functions",
         "mbd_ros.core.live": "mbd_ros.core.simulation",
         "mbd_ros.core.loops": "mbd_ros.core.inverse_dynamics",
