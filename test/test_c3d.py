@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.errors import DataError
-from mbd_ros.features.markers.axes import turned
+from mbd_ros.features.markers.job import turned
 from mbd_ros.files.formats import read_result
 from mbd_ros.files.markers import read_markers
 from mbd_ros.files.table import Column, Result, Table

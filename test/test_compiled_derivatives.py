@@ -10,7 +10,7 @@ from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.library import load
 from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.runs.compiled_system import CompiledSystem
-from mbd_ros.compiled.runs.verify_slopes import verify_slopes
+from mbd_ros.compiled.runs.implicit_method import verify_slopes
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.core.dynamics.residual_force import Balance
 from mbd_ros.core.integration.newton import converge

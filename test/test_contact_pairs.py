@@ -8,9 +8,9 @@ import pytest
 from mechanisms import scene_of
 from scipy.spatial import ConvexHull
 
+from mbd_ros.core.geometry.convex import inside
 from mbd_ros.core.geometry.feature_pairs import contact_pair
 from mbd_ros.core.geometry.mesh_distance import ToMesh
-from mbd_ros.core.geometry.outlines import inside
 from mbd_ros.core.geometry.polyhedron import box_of, line_of, polyhedron
 from mbd_ros.core.geometry.shapes import Between, Box, Capsule, Mesh, Side
 from mbd_ros.core.geometry.solids import _to_box

@@ -8,10 +8,10 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from mbd_ros.applications.report.contact import closed_forms, kind, ours
+from mbd_ros.applications.report.contact.kind import compose
 from mbd_ros.applications.report.contact.problem import Trace, penetration
 from mbd_ros.applications.report.contact.problems import problems
 from mbd_ros.applications.report.contact.soft_bounce import damping_ratio
-from mbd_ros.applications.report.contact.text import compose
 from mbd_ros.applications.report.peers.contenders import in_turn
 from mbd_ros.applications.report.precision.choices import Choice
 

@@ -14,8 +14,7 @@ from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.features.control.chatter import ChatterMeter
 from mbd_ros.features.control.command_guard import Guard
 from mbd_ros.features.control.control_loop import ControlLoop
-from mbd_ros.features.control.delay_meter import DelayMeter
-from mbd_ros.features.control.loop_watch import LoopWatch, LossLimits, rest_responses
+from mbd_ros.features.control.loop_watch import DelayMeter, LoopWatch, LossLimits, rest_responses
 from mbd_ros.features.control.reference_generator import ReferenceGenerator
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.registry import resolve

@@ -28,8 +28,8 @@ from mbd_ros.scene.reading.contact_entries import with_shapes
 from mbd_ros.scene.reading.learned_entries import with_files
 from mbd_ros.scene.reading.path_entries import with_paths
 from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.arguments import entries
 from mbd_ros.scene.schema.code_permission import permitting
-from mbd_ros.scene.schema.docstrings import entries
 from mbd_ros.scene.schema.registry import PARTS, resolve
 
 OUTSIDE = parts_of_pages.OUTSIDE

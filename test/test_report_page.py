@@ -5,11 +5,9 @@ import sys
 
 import pytest
 
-from mbd_ros.applications.report.compose import plain
+from mbd_ros.applications.report.compose import plain, scene_pages
 from mbd_ros.applications.report.items import Section, Table
-from mbd_ros.applications.report.page import page
-from mbd_ros.applications.report.page_section import section_lines
-from mbd_ros.applications.report.scene_pages import scene_pages
+from mbd_ros.applications.report.page import page, section_lines
 from mbd_ros.applications.report.subjects import Subject
 from mbd_ros.jobs.workers.remaining import Remaining, watched
 from mbd_ros.jobs.workers.task import Result, Task

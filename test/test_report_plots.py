@@ -3,7 +3,7 @@
 import numpy as np
 from report_runs import RUNS, run_of
 
-from mbd_ros.applications.report.precision.ladders import FAMILIES
+from mbd_ros.applications.report.precision.kind import FAMILIES
 from mbd_ros.applications.report.precision.pareto import Point
 from mbd_ros.applications.report.precision.text import points_of
 from mbd_ros.applications.report.precision.work_precision import diagram

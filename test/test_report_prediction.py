@@ -1,7 +1,7 @@
 """Predictions in the report: errors against known costs, and costs that are wrong."""
 
 from mbd_ros.applications.report.prediction import kind
-from mbd_ros.applications.report.prediction.problems import PROBLEMS
+from mbd_ros.applications.report.prediction.kind import PROBLEMS
 
 
 def test_every_scheme_finds_the_least_cost_and_a_wrong_one_is_told():

@@ -12,7 +12,7 @@ from mbd_ros.cli import main
 from mbd_ros.core.state import Motion
 from mbd_ros.errors import DataError
 from mbd_ros.features.inverse_dynamics.job import inverse
-from mbd_ros.features.replay.torque_errors import TorqueErrors
+from mbd_ros.features.replay.job import TorqueErrors
 from mbd_ros.features.simulation.job import Interrupted, simulate
 from mbd_ros.files.formats import read_result, suffix_of
 from mbd_ros.files.table import Result

@@ -19,8 +19,8 @@ from mbd_ros.applications.report.stability.cases import (
     longest_step,
     tiers,
 )
-from mbd_ros.applications.report.stability.equations import equations
 from mbd_ros.applications.report.stability.extreme_scenes import extremes, mechanism, rods
+from mbd_ros.applications.report.stability.kind import equations
 from mbd_ros.applications.report.stability.motion import Grid
 from mbd_ros.applications.report.stability.oracle import Oracle
 from mbd_ros.applications.report.stability.random_scenes import random_scene

@@ -2,29 +2,121 @@
 
 import json
 import math
+import os
+import platform
+import subprocess
 import time
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from datetime import datetime, timezone
+from importlib.util import find_spec
 from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import mbd_ros
 from mbd_ros.applications.report import items
 from mbd_ros.applications.report.items import Item, Section
-from mbd_ros.applications.report.machine import git_state, machine, package_versions
 from mbd_ros.applications.report.page import page
-from mbd_ros.applications.report.program import program
-from mbd_ros.applications.report.scene_pages import scene_pages
+from mbd_ros.applications.report.program import VERSIONS, program, versions
 from mbd_ros.applications.report.store import Store
-from mbd_ros.applications.report.subjects import subjects
+from mbd_ros.applications.report.subjects import Subject, subjects
 from mbd_ros.applications.report.work import collect, finish, label
 from mbd_ros.errors import FAILED, DataError, MbdError
+from mbd_ros.features.simulation.job import Interrupted, simulate
 from mbd_ros.files.replacing import replacing
-from mbd_ros.jobs.workers.opening import open_workers
+from mbd_ros.jobs.workers.opening import cores, open_workers
 from mbd_ros.jobs.workers.remaining import Remaining, spoken
-from mbd_ros.jobs.workers.task import Result
+from mbd_ros.jobs.workers.task import Result, cpu
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.locate import find_scene
+from mbd_ros.view.frames import Frames
+from mbd_ros.view.motion import viewed_motion
+from mbd_ros.view.recording import animated_page
+
+# Pages beside a report that show its scenes as they move.
+
+FOLDER = "scenes"
+_LONGEST = 2.0  # s that a page shows
+
+
+def scene_pages(subjects: Sequence[Subject], folder: Path, made: dict[str, str]) -> Iterator[str]:
+    """Write a page for each scene that runs.
+
+    Args:
+        subjects: The scenes.
+        folder: Of the report.
+        made: Is filled in: name of a scene -> its page, relative to the folder.
+
+    Yields:
+        What is left out, a line each.
+    """
+    if not subjects:
+        return
+    if find_spec("viser") is None:
+        yield "no pages of scenes: pip install 'mbd_ros[view]'"
+        return
+    (folder / FOLDER).mkdir(parents=True, exist_ok=True)
+    for subject in subjects:
+        try:
+            text = _page(subject)
+        except Interrupted:
+            raise
+        except MbdError as error:
+            yield f"no page of {subject.name}: {error}"
+            continue
+        made[subject.name] = f"{FOLDER}/{subject.name}.html"
+        with replacing(folder / made[subject.name]) as file:
+            file.write(text.encode())
+
+
+def _page(subject: Subject) -> str:
+    scene = load_scene(subject.path)
+    if not scene.robot.model.nv:
+        raise DataError("nothing moves")
+    result = simulate(scene, min(subject.times[-1], _LONGEST))
+    motion = viewed_motion(scene, result, Frames(scene).rows)
+    return animated_page(scene, motion, subject.name).text
+
+
+# Machine, versions and commit of a report.
+
+_SHOWN = ("mbd_ros", *VERSIONS, "matplotlib", "dask")
+_GIB = 2**30
+
+
+def machine() -> dict[str, Any]:
+    """Processor, memory, system and load."""
+    described = {"cpu": cpu(), "cores": cores(), "system": platform.platform()}
+    if hasattr(os, "sysconf"):
+        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        described["memory"] = f"{size / _GIB:.1f} GiB"
+    if hasattr(os, "getloadavg"):
+        described["load"] = f"{os.getloadavg()[0]:.2f} at the start"
+    return described
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of this package and of its libraries."""
+    return versions(_SHOWN)
+
+
+def git_state() -> dict[str, Any]:
+    """Commit of the checkout, and whether it was changed; empty outside of one."""
+    package = Path(mbd_ros.__path__[0])
+    try:
+        if not _git(package, "ls-files", "cli.py"):
+            return {}
+        changed = bool(_git(package, "status", "--porcelain", "--untracked-files=all", "."))
+        return {"commit": _git(package, "rev-parse", "HEAD"), "changed": changed}
+    except (OSError, subprocess.SubprocessError):
+        return {}
+
+
+def _git(folder: Path, *words: str) -> str:
+    command = ["git", "-C", str(folder), *words]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    return ran.stdout.strip()
+
 
 _DPI = 150
 

@@ -3,10 +3,256 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from mbd_ros.compiled.code.chunks import Chunks, cut
-from mbd_ros.compiled.code.instructions import Instructions, Value
-from mbd_ros.compiled.code.operations import expression
-from mbd_ros.compiled.code.sines import Turns, turns
+import casadi as ca
+
+from mbd_ros.compiled.code.instructions import CodeError, Instructions, Value
+
+# Sines and cosines of angles that are known early: computed first, many at once.
+
+ROOM = 2  # values are passed in a multiple of these: SINES_ROOM of sines.h
+_PLAIN = {
+    *(ca.OP_CONST, ca.OP_INPUT, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG),
+    *(ca.OP_SQ, ca.OP_TWICE, ca.OP_INV),
+}
+
+
+class Turns(NamedTuple):
+    """The angles of a function, and what waits for their sines and cosines.
+
+    Attributes:
+        before: Computed values that the angles are made of, in order.
+        angles: Numbers of the values of which sines and cosines are taken.
+        sines: Angle -> number of its sine, where there is one.
+        cosines: The same of the cosines.
+        after: All other computed values, in order.
+    """
+
+    before: list[int]
+    angles: list[int]
+    sines: dict[int, int]
+    cosines: dict[int, int]
+    after: list[int]
+
+    @property
+    def room(self) -> int:
+        """Size of an array of the sines."""
+        return -(-len(self.angles) // ROOM) * ROOM
+
+    def slots(self, first: int) -> dict[int, int]:
+        """Places of the sines, then the cosines, in two arrays that begin at a place.
+
+        Args:
+            first: Where the array of the sines begins.
+        """
+        places = {angle: first + k for k, angle in enumerate(self.angles)}
+        slots = {number: places[angle] for angle, number in self.sines.items()}
+        return slots | {n: self.room + places[angle] for angle, n in self.cosines.items()}
+
+
+def turns(code: Instructions) -> Turns:
+    """The angles that are made of inputs by arithmetic alone.
+
+    Args:
+        code: Instructions of a function.
+    """
+    plain = _plain(code.values)
+    sines, cosines = (
+        {
+            v.operands[0]: k
+            for k, v in enumerate(code.values)
+            if v.code == c and plain[v.operands[0]]
+        }
+        for c in (ca.OP_SIN, ca.OP_COS)
+    )
+    angles = sorted({*sines, *cosines})
+    early = _made_of(code.values, angles)
+    taken = {*early, *sines.values(), *cosines.values()}
+    after = [k for k, v in enumerate(code.values) if v.computed and k not in taken]
+    return Turns(early, angles, sines, cosines, after)
+
+
+def _plain(values: list[Value]) -> list[bool]:
+    """Which values are made of inputs and constants by arithmetic."""
+    plain: list[bool] = []
+    for value in values:
+        operands = value.operands if value.computed else ()
+        plain.append(value.code in _PLAIN and all(plain[operand] for operand in operands))
+    return plain
+
+
+def _made_of(values: list[Value], ends: list[int]) -> list[int]:
+    """Computed values that others are made of, themselves among them, in order."""
+    found: set[int] = set()
+    waiting = list(ends)
+    while waiting:
+        number = waiting.pop()
+        if number not in found and values[number].computed:
+            found.add(number)
+            waiting += values[number].operands
+    return sorted(found)
+
+
+# Lists of values cut into short ones: compilers take out of proportion long for long ones.
+
+WHOLE = 3000  # operations that are not cut: their compilation takes half a second at most
+FEWEST, MOST = 500, 1500  # operations of a chunk
+
+
+class Chunks(NamedTuple):
+    """Values in the order in which they are computed, and those that wait between the chunks.
+
+    Attributes:
+        chunks: Numbers of the computed values, by chunk.
+        slots: Value -> its place among those that later chunks read.
+        work: How many places there are.
+    """
+
+    chunks: list[list[int]]
+    slots: dict[int, int]
+    work: int
+
+
+def cut(code: Instructions, turns: Turns) -> Chunks:
+    """Chunks between which few values wait.
+
+    The first chunk, perhaps empty, makes the angles; sines and cosines wait from there on.
+
+    Args:
+        code: The instructions.
+        turns: Its angles, and the order in which everything else is computed.
+    """
+    order = turns.before + turns.after
+    at = {value: k for k, value in enumerate(order)}
+    last = _last_reads(code.values, order, at)
+    early = len(turns.before)
+    chunks = [turns.before]
+    chunks += [order[early + a : early + b] for a, b in _bounds([k - early for k in last[early:]])]
+    number = [n for n, chunk in enumerate(chunks) for _ in chunk]
+    slots, work = _slots(order, last, number)
+    return Chunks(chunks, slots | turns.slots(work), work + 2 * turns.room)
+
+
+def _last_reads(values: list[Value], order: list[int], at: dict[int, int]) -> list[int]:
+    """Where in the order each value is read for the last time; itself if never."""
+    last = list(range(len(order)))
+    for k, value in enumerate(order):
+        for operand in values[value].operands:
+            if operand in at:
+                last[at[operand]] = k
+    return last
+
+
+def _bounds(last: list[int]) -> list[tuple[int, int]]:
+    """First and end of each chunk, where fewest values wait."""
+    ends = [0] * (len(last) + 1)
+    for k in last:
+        ends[k] += 1
+    waiting, now = [], 0  # before each place in the order: values that are read at it or later
+    for k in range(len(last)):
+        waiting.append(now)
+        now += 1 - ends[k]
+    begins = [0]
+    while len(last) - begins[-1] > (MOST if len(last) > WHOLE else WHOLE):
+        window = range(begins[-1] + FEWEST, begins[-1] + MOST + 1)
+        begins.append(min(window, key=lambda k: waiting[k]))
+    return list(zip(begins, [*begins[1:], len(last)], strict=True))
+
+
+def _slots(order: list[int], last: list[int], number: list[int]) -> tuple[dict[int, int], int]:
+    """A place for every value that a later chunk reads, used again when it was read last."""
+    slots: dict[int, int] = {}
+    free: list[int] = []
+    leaves: dict[int, list[int]] = {}  # chunk -> places that are free after it
+    work, chunk = 0, number[0] if number else 0
+    for k, value in enumerate(order):
+        if number[k] != chunk:
+            free += leaves.pop(chunk, [])
+            chunk = number[k]
+        if number[last[k]] > chunk:
+            if not free:
+                free.append(work)
+                work += 1
+            slots[value] = free.pop()
+            leaves.setdefault(number[last[k]], []).append(slots[value])
+    return slots, work
+
+
+# What each operation of CasADi is in C, for numbers and for vectors of them.
+
+_FORMS = {
+    ca.OP_ADD: "{0} + {1}",
+    ca.OP_SUB: "{0} - {1}",
+    ca.OP_MUL: "{0} * {1}",
+    ca.OP_DIV: "{0} / {1}",
+    ca.OP_NEG: "-{0}",
+    ca.OP_SQ: "{0} * {0}",
+    ca.OP_TWICE: "{0} + {0}",
+    ca.OP_INV: "R(1.0) / {0}",
+    ca.OP_ASSIGN: "{0}",
+    ca.OP_LIFT: "{0}",
+}
+_CALLS = {  # of functions that the headers define
+    ca.OP_ACOS: "acos",
+    ca.OP_ACOSH: "acosh",
+    ca.OP_AND: "and",
+    ca.OP_ASIN: "asin",
+    ca.OP_ASINH: "asinh",
+    ca.OP_ATAN: "atan",
+    ca.OP_ATAN2: "atan2",
+    ca.OP_ATANH: "atanh",
+    ca.OP_CEIL: "ceil",
+    ca.OP_CONSTPOW: "pow",
+    ca.OP_COPYSIGN: "copysign",
+    ca.OP_COS: "cos",
+    ca.OP_COSH: "cosh",
+    ca.OP_EQ: "equal",
+    ca.OP_ERF: "erf",
+    ca.OP_EXP: "exp",
+    ca.OP_EXPM1: "expm1",
+    ca.OP_FABS: "fabs",
+    ca.OP_FLOOR: "floor",
+    ca.OP_FMAX: "fmax",
+    ca.OP_FMIN: "fmin",
+    ca.OP_FMOD: "fmod",
+    ca.OP_HYPOT: "hypot",
+    ca.OP_IF_ELSE_ZERO: "where",
+    ca.OP_LE: "at_most",
+    ca.OP_LOG: "log",
+    ca.OP_LOG1P: "log1p",
+    ca.OP_LT: "less",
+    ca.OP_NE: "differs",
+    ca.OP_NOT: "not",
+    ca.OP_OR: "or",
+    ca.OP_POW: "pow",
+    ca.OP_REMAINDER: "remainder",
+    ca.OP_SIGN: "sign",
+    ca.OP_SIN: "sin",
+    ca.OP_SINH: "sinh",
+    ca.OP_SQRT: "sqrt",
+    ca.OP_TAN: "tan",
+    ca.OP_TANH: "tanh",
+}
+
+
+def expression(value: Value, operands: list[str], function: str) -> str:
+    """The C expression of a computed value.
+
+    Args:
+        value: The value.
+        operands: What stands for those that it is computed from.
+        function: Whose value it is, for the error.
+
+    Raises:
+        CodeError: C has no such operation.
+    """
+    form = _FORMS.get(value.code)
+    if form is not None:
+        return form.format(*operands)
+    call = _CALLS.get(value.code)
+    if call is None:
+        raise CodeError(f"{function} has an operation without a form in C: CasADi's {value.code}")
+    return f"real_{call}({', '.join(operands)})"
+
 
 _NAMED = {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}
 

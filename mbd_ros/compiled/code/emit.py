@@ -1,5 +1,6 @@
 """Functions of CasADi symbols as C source."""
 
+from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -8,9 +9,48 @@ from typing import Literal
 import casadi as ca
 
 from mbd_ros.compiled.code.c_function import c_function
-from mbd_ros.compiled.code.instructions import CodeError, instructions
-from mbd_ros.compiled.code.reciprocals import with_reciprocals
+from mbd_ros.compiled.code.instructions import CodeError, Instructions, Value, instructions
 from mbd_ros.compiled.code.source import Signature, Source
+
+# Divisions by the same number as products with its reciprocal: a division costs ten products.
+
+
+def with_reciprocals(code: Instructions) -> Instructions:
+    """The same values, with one division for each divisor that several values share.
+
+    A quotient then differs by a unit in the last place.
+
+    Args:
+        code: Instructions of a function.
+    """
+    divisors = Counter(_divisor(value) for value in code.values)
+    shared = {number for number, n in divisors.items() if n > 1 and number is not None}
+    values: list[Value] = []
+    known: dict[Value, int] = {}
+    now: list[int] = []  # old number -> new number
+
+    def number(value: Value) -> int:
+        if value not in known:
+            known[value] = len(values)
+            values.append(value)
+        return known[value]
+
+    for value in code.values:
+        operands = tuple(now[k] for k in value.operands) if value.computed else value.operands
+        new = value._replace(operands=operands)
+        if value.code == ca.OP_DIV and value.operands[1] in shared:
+            reciprocal = number(Value(ca.OP_INV, (operands[1],)))
+            new = Value(ca.OP_MUL, tuple(sorted((operands[0], reciprocal))))
+        now.append(number(new))
+    outputs = [output._replace(value=now[output.value]) for output in code.outputs]
+    return code._replace(values=values, outputs=outputs)
+
+
+def _divisor(value: Value) -> int | None:
+    if value.code == ca.OP_DIV:
+        return value.operands[1]
+    return value.operands[0] if value.code == ca.OP_INV else None
+
 
 HERE = Path(__file__).parent
 EXPORT = '#define EXPORT __attribute__((visibility("default")))\n'

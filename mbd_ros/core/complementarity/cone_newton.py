@@ -11,15 +11,43 @@ P. Alart, A. Curnier, Comput. Methods Appl. Mech. Eng. 92 (1991) 353.
 """
 
 import math
+from functools import lru_cache
 from typing import NamedTuple
 
 import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.complementarity.cone_slices import cone_places
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import redundant
+
+# Where numbers of contacts with friction stand in vectors and matrices of their rows.
+
+
+class ConePlaces(NamedTuple):
+    """Places of n contacts.
+
+    Attributes:
+        tangents: Their rows, shape (2, n).
+        friction: Entries of a matrix, counted row by row: the columns of a contact in the row of
+            its first tangent, shape (3, n).
+        turns: The same: columns of both tangents in the row of the second one, shape (2, n).
+    """
+
+    tangents: NDArray[np.intp]
+    friction: NDArray[np.intp]
+    turns: NDArray[np.intp]
+
+
+@lru_cache(64)
+def cone_places(m: int, normals: tuple[int, ...]) -> ConePlaces:
+    """Places of contacts whose normals, with two tangents behind each, stand among m rows."""
+    normal = np.array(normals, dtype=np.intp)
+    first, second = normal + 1, normal + 2
+    friction = np.stack((first * m + normal, first * (m + 1), first * m + second))
+    turns = np.stack((second * m + first, second * (m + 1)))
+    return ConePlaces(np.stack((first, second)), friction, turns)
+
 
 Slots = NDArray[np.intp]
 _EXACT = 4.0e-16  # of the impulses: nothing is left of the map

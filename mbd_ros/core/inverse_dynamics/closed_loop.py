@@ -7,19 +7,19 @@ couplings, constraints and contacts of unknown force, and R those of free bases.
 the bases is as small as it can be; then come the least costly u, then the smallest lam.
 """
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.contracts.parts import Load
 from mbd_ros.core.inverse_dynamics.bounded_split import Wish, within_bounds
-from mbd_ros.core.inverse_dynamics.consistency import check_closed, check_rates
 from mbd_ros.core.inverse_dynamics.efforts import Efforts
 from mbd_ros.core.inverse_dynamics.force_split import ForceSplit, Split
 from mbd_ros.core.inverse_dynamics.loop_balance import LoopBalance
 from mbd_ros.core.inverse_dynamics.loop_motion import LoopMotion, with_inertia
-from mbd_ros.core.inverse_dynamics.loop_problem import Problem, is_at_toggle
 from mbd_ros.core.inverse_dynamics.reach import Reach, listed, movers, unreachable
 from mbd_ros.core.inverse_dynamics.standing import Nearness, Standing
 from mbd_ros.core.inverse_dynamics.torques import Torques
@@ -30,7 +30,114 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.characteristic_sizes import usual_norms
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import ASSEMBLED
 from mbd_ros.errors import SolveError
+
+# Whether a motion is on the rows that it must keep.
+
+_OFF = 1.0e-6  # of the terms that should cancel
+
+
+def check_closed(balance: LoopBalance, x: State) -> None:
+    """Check the position.
+
+    Args:
+        balance: The rows, placed at the state.
+        x: State of all joints.
+
+    Raises:
+        SolveError: Names the row that is open.
+    """
+    g = np.abs(balance.residual(x))
+    if g.size and not g.max() <= ASSEMBLED:
+        row = balance.constraints.rows[int(np.argmax(g))].name
+        raise SolveError(
+            f"the motion is not consistent: row {row} is {g.max():.3g} m or rad open; make "
+            "it consistent first"
+        )
+
+
+def check_rates(
+    balance: LoopBalance,
+    split: ForceSplit,
+    inside: NDArray[np.intp],
+    rows: tuple[Array, Array],
+    x: State,
+    a: Array,
+) -> None:
+    """Check velocity and acceleration, toggles apart.
+
+    Args:
+        balance: The rows, placed at the state.
+        split: Factors of some rows.
+        inside: Which rows these are.
+        rows: J and drift of all rows, (m, nv) and (m,).
+        x: State of all joints.
+        a: Their acceleration [rad/s^2 or m/s^2], shape (nv,).
+
+    Raises:
+        SolveError: Names the row that either leaves.
+    """
+    held, (J, drift) = balance.is_held, rows
+    if not held.any():
+        return
+    for what, of, fixed in (("velocity", x.v, balance.rate(x)), ("acceleration", a, drift)):
+        off = np.where(held, J.dot(of) + fixed, 0.0)
+        terms = np.where(held, np.abs(J).dot(np.abs(of)) + np.abs(fixed), 0.0)
+        if not split.violation(off[inside], terms[inside]) <= _OFF:
+            worst = int(np.argmax(np.abs(off)))
+            raise SolveError(
+                f"the motion is not consistent: its {what} leaves row "
+                f"{balance.constraints.rows[worst].name} at {abs(off[worst]):.3g}; make it "
+                "consistent first"
+            )
+
+
+# The equation of inverse dynamics at one state, and whether that is a toggle.
+
+_ASIDE = 0.1  # of a neighbour that tells whether a mechanism is at a toggle [rad or m]
+
+
+class Problem(NamedTuple):
+    """The equation at one state.
+
+    Attributes:
+        split: Its factors.
+        b: Force on all joints that is to be split, shape (nv,).
+        scale: Size of the terms in it, in the metric of the split.
+        asked: Which unknowns the split has; the motion shows the others, shape (n,).
+        known: What those are: efforts, then multipliers, targets of the cost in place of those
+            that are asked for, shape (na + m,).
+    """
+
+    split: ForceSplit
+    b: Array
+    scale: float
+    asked: Mask
+    known: Array
+
+
+def is_at_toggle(
+    loops: LoopMotion, x: State, split: ForceSplit, beside: Callable[[State], ForceSplit]
+) -> bool:
+    """Whether neighbours on the constraints have fewer motions.
+
+    Args:
+        loops: The mechanism.
+        x: State on the constraints.
+        split: Factors there.
+        beside: Gives the factors at another state on the constraints.
+    """
+    for motion in split.motions().T:
+        q = loops.moved(x.q, _ASIDE / np.abs(motion).max() * motion)
+        try:
+            there = State(x.t, loops.start(x._replace(q=q)), 0.0 * x.v)
+        except SolveError:
+            continue
+        if beside(there).freedom < split.freedom:
+            return True
+    return False
+
 
 _LEFT = 1.0e-6  # of the forces at work: what may stay without an actuator
 _ZERO = 1.0e-9  # the same where nothing moves and nothing acts

@@ -1,7 +1,7 @@
 """Low-pass of a whole recording that does not lag: smoothing splines with a cut-off in Hz."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -10,9 +10,50 @@ from numpy.typing import NDArray
 from mbd_ros.core.signals.nested_splines import joined, middles, parted
 from mbd_ros.core.signals.smoothing_equations import ORDER, SmoothingEquations
 from mbd_ros.core.signals.spline_basis import CellBasis
-from mbd_ros.core.signals.spline_grids import FLATTEST, Grid, grids_of
 from mbd_ros.core.signals.spline_pieces import DEGREE, Wanted
 from mbd_ros.core.state import Array
+
+# Cells of a recording for cut-offs, those of a low one made of those of a higher one.
+
+CELLS = 8  # polynomial pieces a period of a cut-off at least
+FLATTEST = 0.01  # periods of a cut-off in the recording: a cubic is all that is left by then
+_LEVELS = 3  # octaves of cut-offs for which samples are looked at once
+_MORE = 1.05  # times the cells that there have to be
+_ROUNDING = 1.0e-9  # of an octave
+
+
+class Grid(NamedTuple):
+    """Cells of a recording for a cut-off.
+
+    Attributes:
+        cells: Of the highest cut-off that is looked at together with this one.
+        unit: Of these, as many as there are in one of the lowest.
+        level: This one has cells 2^level times as wide.
+        is_fine: Whether these are narrower than they have to be, so that equations are stiffer.
+    """
+
+    cells: int
+    unit: int
+    level: int
+    is_fine: bool
+
+
+def grids_of(cutoffs: Sequence[float], span: float) -> dict[float, Grid]:
+    """Those of cut-offs from the highest on [Hz], in a recording of so many seconds."""
+    found: dict[float, Grid] = {}
+    periods = {f: max(f * span, FLATTEST) for f in cutoffs}
+    while periods:
+        top = max(periods.values())
+        levels = {f: int(math.log2(top / n) + _ROUNDING) for f, n in periods.items()}
+        own = {f: level for f, level in levels.items() if level <= _LEVELS}
+        unit = 2 ** max(own.values())
+        cells = math.ceil(top * CELLS / unit) * unit
+        for f, level in own.items():
+            is_fine = cells >> level > _MORE * CELLS * periods[f] + 1.0
+            found[f] = Grid(cells, unit, level, is_fine)
+        periods = {f: n for f, n in periods.items() if f not in own}
+    return found
+
 
 FEWEST = 6  # samples in a row: a quintic through them
 HIGHEST = 0.4  # cut-off per sampling rate beyond which nothing is left to smooth

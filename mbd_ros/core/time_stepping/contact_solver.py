@@ -1,6 +1,7 @@
 """Rows that give way in a step of velocities, contacts with friction among them."""
 
-from typing import Any
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,13 +10,121 @@ from mbd_ros.core.complementarity.contact_problem import ContactProblem, Residua
 from mbd_ros.core.dynamics.impulse_response import ImpulseResponse
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import redundant
 from mbd_ros.core.time_stepping.bounded_rows import GivingWay
-from mbd_ros.core.time_stepping.consistent_rates import AnsweredRates, is_independent
-from mbd_ros.core.time_stepping.contact_subproblem import OF_ONE, AskedContacts
-from mbd_ros.core.time_stepping.slip_ends import dots, ending, given_back, turned
+from mbd_ros.core.time_stepping.slip_ends import WORK, dots, ending, given_back, turned
 from mbd_ros.core.time_stepping.step_problem import StepProblem
 from mbd_ros.core.time_stepping.unilateral_rows import Acting, Slots, Which
 from mbd_ros.errors import SolveError
+
+# One problem of a step with contacts, and what its impulses mean.
+
+OF_ONE = 3  # rows of one contact
+_ACCEPTED = 1.0e-9  # of the rates that impulses of a step end: what may be left of them
+_SAME = 1.0e-14  # of rates: what rounding leaves of them
+
+
+class AskedContacts(NamedTuple):
+    """One problem with contacts.
+
+    Attributes:
+        problem: That of the step.
+        chosen: The rows that are on.
+        on: Their places in the problem of the step.
+        A: Rates that their impulses add, shape (m, m).
+        solver: Of their laws.
+        b: Their rates without impulses, shape (m,).
+        bend: What of these comes from the change of J, shape (m,).
+        known: Bounds of the impulses, and a velocity.
+        warm: Impulses to begin with, shape (m,).
+        shared: Whether contacts that depend on one another share with the least norm: those of
+            the end of a step do, the next one begins with them.
+    """
+
+    problem: StepProblem
+    chosen: Acting
+    on: NDArray[np.intp]
+    A: Array
+    solver: ContactProblem
+    b: Array
+    bend: Array
+    known: tuple[Array, Array, float]
+    warm: Array
+    shared: bool
+
+    def solve(self, late: Array | None = None) -> Array:
+        """The impulses, shape (m,); arguments as for `ContactProblem`."""
+        known = *self.known, late, self.warm
+        return self.solver.solve(self.b, *known, shared=self.shared, accepted=_ACCEPTED)
+
+    def sticks(self) -> bool:
+        """Whether those to begin with, if within the cones, leave all contacts at rest."""
+        if len(self.b) != OF_ONE * len(self.chosen.cones):
+            return False
+        size = float(np.abs(self.b).max())
+        return float(np.abs(self.A.dot(self.warm) + self.b).max()) <= _SAME * size
+
+    def takes_energy(self, p: Array, before: Array) -> bool:
+        """Whether friction does no work in all, with slips before the step, shape (n, 2)."""
+        at = self.chosen.tangents
+        end = (self.A[at].dot(p) + self.b[at] - self.bend[at]).reshape(-1, 2)
+        work = float(dots(before + end, p[at].reshape(-1, 2)).sum())
+        return work <= WORK * self.known[2] ** 2
+
+    def left(self, p: Array) -> Residuals:
+        """What impulses leave of the laws where all contacts are at rest."""
+        w, parts = self.A.dot(p) + self.b, p.reshape(-1, 3)
+        slips = w.reshape(-1, 3)[:, 1:]
+        mu = np.array([cone.mu for cone in self.chosen.cones])
+        over = float((np.hypot(parts[:, 1], parts[:, 2]) - mu * parts[:, 0]).max())
+        slip = math.sqrt(float(dots(slips, slips).max()))
+        return Residuals(float(np.abs(w[::3]).max()), 0.0, max(over, 0.0), slip)
+
+
+# Which rates of rows that may depend on one another impulses can answer.
+
+_OF_ONE = 3  # rows of one contact
+_FLAT = 1.0e-10  # of the product of its mobilities: rows that may depend on one another
+_DEPENDS = 1.0e-6  # of rates that no impulses make: what sliding tangents have of them
+
+
+class AnsweredRates:
+    """Rates that no impulses make, remembered while A is the same."""
+
+    def __init__(self) -> None:
+        self._last: tuple[Array, Array] | None = None
+
+    def none(self, A: Array) -> Array:
+        """Rates that no impulses make, orthonormal in columns, shape (m, dependent)."""
+        if self._last is None or self._last[0] is not A:
+            values, ways = np.linalg.eigh(0.5 * (A + A.T))
+            self._last = A, ways[:, values <= redundant(len(A)) * values[-1]]
+        return self._last[1]
+
+    def possible(self, late: Array, A: Array, slide: Slots) -> Array:
+        """Earlier rates of tangents that slide, as far as they contradict no other rows.
+
+        Args:
+            late: Rates, 0 but at these tangents, shape (m,).
+            A: Rates that impulses add, shape (m, m).
+            slide: The tangents that slide.
+        """
+        if is_independent(A) or not (none := self.none(A)).size:
+            return late
+        over, sizes, _ = np.linalg.svd(none[slide], full_matrices=False)
+        over = over[:, sizes > _DEPENDS]
+        late[slide] -= over.dot(over.T.dot(late[slide]))
+        return late
+
+
+def is_independent(A: Array) -> bool:
+    """Whether the rows of one contact certainly do not depend on one another; no for more."""
+    if len(A) != _OF_ONE:
+        return False
+    (n, x, y), (_, p, q), (_, _, r) = A.tolist()
+    volume = n * (p * r - q * q) - x * (x * r - q * y) + y * (x * q - p * y)
+    return bool(volume > _FLAT * n * p * r)
+
 
 _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor turns round
 _NO_ROOM = 1.0e-5  # of the rate of a gap: feet of a body, which rounding sets apart, share a load

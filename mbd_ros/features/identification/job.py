@@ -13,10 +13,10 @@ from mbd_ros.features.identification.checks import (
     check_units,
 )
 from mbd_ros.features.identification.coupled_motors import choose_motors, coupled_in
+from mbd_ros.features.identification.factors import triangle_of
 from mbd_ros.features.identification.gains import estimate_gains
 from mbd_ros.features.identification.identified_scene import without_friction
 from mbd_ros.features.identification.least_squares import stacked
-from mbd_ros.features.identification.movement import movement, moves_as_one
 from mbd_ros.features.identification.outcome import outcome
 from mbd_ros.features.identification.physical_consistency import Consistent, consistent
 from mbd_ros.features.identification.problem import Problem
@@ -27,6 +27,35 @@ from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.progress import Watch, watching
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
+
+# How the joints of a recording move.
+
+_AS_ONE = 1.0e-2  # of the velocities: what is left of them where joints move as one
+
+
+def movement(problem: Problem) -> list[tuple[str, float, str]]:
+    """Of each driven joint: name, how far it moves [rad or m], the body it moves first."""
+    far, mine = np.zeros(len(problem.rows)), problem.maker.coordinates
+    for piece in problem.pieces:
+        step = float(np.median(np.diff(piece.times)))
+        far = np.maximum(far, np.ptp(np.cumsum(piece.v[:, mine], axis=0), axis=0) * step)
+    model, at = problem.scene.robot.model, problem.scene.couplings.v_index
+    first = {int(model.joints[body.joint].idx_v): body.name for body in problem.bodies}
+    names = [first.get(int(at[i]), n) for i, n in zip(mine, problem.labels, strict=True)]
+    every = zip(problem.labels, far.tolist(), names, strict=True)
+    return [one for one, joint in zip(every, problem.joints, strict=True) if joint >= 0]
+
+
+def moves_as_one(problem: Problem) -> bool:
+    """Whether all driven joints move in one phase, each by its own factor."""
+    mine = problem.maker.coordinates[problem.joints >= 0]
+    if len(mine) < 2:
+        return False
+    v = triangle_of(np.concatenate([piece.v for piece in problem.pieces])[:, mine])
+    size = np.linalg.norm(v, axis=0)
+    s = np.linalg.svd(v / np.where(size > 0.0, size, 1.0), compute_uv=False)
+    return bool(s[1] < _AS_ONE * s[0])
+
 
 _LEAST = 1.0e-6  # of the usual torque: deviations that weigh rows beside what bodies can have
 _LONGEST = 10.0  # s: of a delay

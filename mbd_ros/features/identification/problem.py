@@ -2,14 +2,17 @@
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
+from itertools import zip_longest
 
 import numpy as np
+import pinocchio as pin
 
 from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
 from mbd_ros.core.model.inertial_parameters import (
     COUNT,
     inertia_of,
+    moved_numbers,
     moving_bodies,
     parameters_of,
 )
@@ -21,8 +24,6 @@ from mbd_ros.features.identification.bodies import known_numbers
 from mbd_ros.features.identification.friction import OF_SEVERAL, TERMS, Column, candidates
 from mbd_ros.features.identification.loop_regressor import LoopRegressor
 from mbd_ros.features.identification.motors import Motors
-from mbd_ros.features.identification.passive import driven_joints, passive_joints
-from mbd_ros.features.identification.recordings import gained, recordings
 from mbd_ros.features.identification.regressor import Regressor, random_states
 from mbd_ros.features.identification.rows import Block, RowMaker
 from mbd_ros.features.identification.samples import (
@@ -31,11 +32,136 @@ from mbd_ros.features.identification.samples import (
     asked_cutoffs,
     check_efforts,
     pieces,
+    read,
     split,
 )
 from mbd_ros.features.identification.task import Task
 from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
+
+# Joints that no motor drives.
+
+
+def passive_joints(
+    scene: Scene, named: Sequence[str], recorded: Sequence[Recorded], say: Say
+) -> tuple[str, ...]:
+    """Joints whose effort is 0: those named, else those by which the first body is placed.
+
+    Without any effort, a chain of joints from the world to the first link with mass is what
+    measured a body that moves freely, such as the pelvis in a model of a person.
+
+    Args:
+        scene: The scene.
+        named: Joints that the user names.
+        recorded: The recordings.
+        say: Is told which they are.
+
+    Raises:
+        DataError: Unknown joints.
+    """
+    joints = scene.couplings.independent
+    unknown = [name for name in named if name not in joints]
+    if unknown:
+        raise DataError(f"--passive {unknown[0]}: no such joint; there are {', '.join(joints)}")
+    if named:
+        return tuple(named)
+    has_effort = any(one.motion.effort is not None for one in recorded)
+    if has_effort or not scene.wrenches or scene.robot.floating:
+        return ()
+    model, chain, at = scene.robot.model, list[str](), 0
+    while True:
+        below = [j for j in range(1, model.njoints) if int(model.parents[j]) == at]
+        if len(below) != 1:
+            break
+        at = below[0]
+        names = [j.name for j in scene.robot.joints if model.getJointId(j.urdf_name) == at]
+        chain += [name for name in names if name in joints]
+        if model.inertias[at].mass > 0.0:
+            break
+    if len(chain) > 1:
+        say(
+            f"no efforts: {', '.join(chain)} place a body that nothing drives, its balance is used"
+        )
+        return tuple(chain)
+    return ()
+
+
+def driven_joints(scene: Scene, recorded: Sequence[Recorded]) -> list[str]:
+    """Independent joints with an effort that is not 0 throughout.
+
+    Raises:
+        DataError: There is none.
+    """
+    names, found = scene.couplings.independent, []
+    for i, name in enumerate(names):
+        efforts = [one.motion.effort for one in recorded]
+        known = [effort[:, i] for effort in efforts if effort is not None]
+        if known and all(np.isfinite(e).mean() > 0.99 and e.any() for e in known):
+            found.append(name)
+    if not found:
+        where = ", ".join(one.where for one in recorded)
+        raise DataError(f"{where}: no effort of any of {', '.join(names)}")
+    return found
+
+
+# Recordings of a task: with what is held in some of them, and in units of torque.
+
+
+def recordings(scene: Scene, task: Task, say: Say) -> Iterator[Recorded]:
+    """All recordings, those with a known load last.
+
+    Raises:
+        DataError: There is none, or the load or a wrench is missing.
+    """
+    sources = (*task.motions, *task.held)
+    if task.wrenches and len(task.wrenches) != len(sources):
+        raise DataError(
+            f"--wrenches: {len(task.wrenches)} for {len(sources)} motions; give one for each"
+        )
+    if not sources:
+        raise DataError("no motion to identify from")
+    if bool(task.held) != (task.payload is not None):
+        raise DataError("--held and --payload: give the recording and what it holds")
+    carried = None if task.payload is None else _carried(scene, *task.payload)
+    for i, (source, load) in enumerate(zip_longest(sources, task.wrenches)):
+        options = {"topic": task.topic, "derivatives": task.derivatives, "say": say}
+        found = read(scene, source, wrenches=load, **options)  # type: ignore[arg-type]
+        yield found if i < len(task.motions) else found._replace(carried=carried)
+
+
+def _carried(scene: Scene, frame: str, numbers: Sequence[float]) -> Array:
+    """Inertial numbers of all bodies of what is fixed to a link, shape (10 bodies,)."""
+    model = scene.robot.model
+    try:
+        link = model.frames[scene.robot.frame(frame)]
+    except ModelError as error:
+        raise DataError(f"--payload {frame}: {error}") from error
+    joint = int(link.parentJoint)
+    if joint == 0:
+        raise DataError(f"--payload {frame}: this link does not move")
+    mass, x, y, z, *moments = numbers
+    load = pin.Inertia(mass, np.array([x, y, z]), np.diag(moments or [0.0, 0.0, 0.0]))
+    own = load.toDynamicParameters()
+    found = np.zeros(COUNT * (model.njoints - 1))
+    found[COUNT * (joint - 1) : COUNT * joint] = moved_numbers(link.placement) @ own
+    return found
+
+
+def gained(
+    found: Iterable[Piece], names: Sequence[str], gains: Mapping[str, float]
+) -> Iterator[Piece]:
+    """Pieces with the torques of efforts in other units.
+
+    Raises:
+        DataError: A gain of no joint.
+    """
+    unknown = [name for name in gains if name not in names]
+    if unknown:
+        raise DataError(f"--gain {unknown[0]}: no such joint; there are {', '.join(names)}")
+    factors = np.array([gains.get(name, 1.0) for name in names])
+    for piece in found:
+        yield piece._replace(effort=factors * piece.effort, measured=factors * piece.measured)
+
 
 _STATES = 1000  # random ones that tell which base parameters there are
 _KEPT = 3.0e7  # numbers in blocks that are kept; more are made again when asked for

@@ -1,5 +1,6 @@
 """Motion from recorded markers: `mbd-ros kinematics`."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,13 +9,12 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.features.markers.axes import axes_lines, turned
+from mbd_ros.features.markers.exchanged_labels import exchanged_labels
 from mbd_ros.features.markers.kinematics_task import KinematicsTask
 from mbd_ros.features.markers.marker_cost import Seen
-from mbd_ros.features.markers.marker_fit import Fit
+from mbd_ros.features.markers.marker_fit import Bools, Fit
 from mbd_ros.features.markers.marker_kinematics import MarkerKinematics
 from mbd_ros.features.markers.matching import Matched, match
-from mbd_ros.features.markers.remarks import remarks_of
 from mbd_ros.features.markers.solver import NO_TASK, read_tasks, solver_of, targets_of
 from mbd_ros.features.markers.tables import RESIDUALS, residual_table, sample_table
 from mbd_ros.files.replacing import check_place, refuse_overwriting
@@ -23,9 +23,146 @@ from mbd_ros.jobs.error_source import about
 from mbd_ros.jobs.lines import Say
 from mbd_ros.motion.columns import state_topics
 from mbd_ros.motion.marker_recording import Capture, read_capture
+from mbd_ros.motion.recorded_axes import axes_matrix, other_axes
 from mbd_ros.motion.recordings import Source
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
+
+# Markers in other axes than the scene: turned, or recognised.
+
+_WIDE = 0.1  # of the size of the cloud of markers: misses that ask for a reason
+_AS_GOOD = 1.05  # of the smallest misses: as good
+_EXPLAINS = 0.2  # of the misses: what is left with the right axes
+
+
+def turned(capture: Capture, axes: str) -> Capture:
+    """Markers in axes of the scene.
+
+    Args:
+        capture: As recorded.
+        axes: `x,z,-y` or the like; or `screen`: x along X_SCREEN, y along Y_SCREEN.
+
+    Raises:
+        DataError: No axes, a mirror image, or a recording that does not say its own.
+    """
+    R = axes_matrix(f"{capture.where}: --axes", axes, capture.screen)
+    return capture._replace(places=capture.places @ R.T)
+
+
+def axes_lines(
+    solver: MarkerKinematics, start: Array, capture: Capture, seen: Seen, fit: Fit
+) -> Iterator[str]:
+    """A warning where markers miss by far, and other axes of the recording explain it.
+
+    Args:
+        solver: The solver.
+        start: Default configuration, shape (nq,).
+        capture: The recording.
+        seen: What was seen.
+        fit: What was found.
+    """
+    is_seen = seen.weights > 0.0
+    frame = int(is_seen.sum(axis=1).argmax())
+    there, one = is_seen[frame], seen.of(slice(frame, frame + 1))
+    places = one.places[0, there]
+    if not len(places):
+        return
+    size = _rms(places - places.mean(axis=0))
+    before = _rms(fit.misses[frame, there])
+    if not before > _WIDE * size:
+        return
+    axes, after = _best(solver, start, one, there)
+    if after < _EXPLAINS * before:
+        yield (
+            f"warning: the recording seems to have other axes than the scene: at "
+            f"t = {capture.times[frame]:.9g} s markers miss by {1e3 * before:.4g} mm rms, by "
+            f"{1e3 * after:.4g} mm with --axes {axes}"
+        )
+
+
+def _best(solver: MarkerKinematics, start: Array, seen: Seen, there: Bools) -> tuple[str, float]:
+    """Axes of a frame, and by how much its markers miss there.
+
+    A base that can turn along makes several as good: the one nearest to the start is taken.
+    """
+    found, origin = [], solver.robot.origin
+    for axes, R in other_axes():
+        places = (seen.places + origin) @ R.T - origin
+        fit = solver.first(start, seen._replace(places=places))
+        found.append((_rms(fit.misses[0, there]), float(np.abs(fit.q[0] - start).sum()), axes))
+    least = min(found)[0]
+    good = [one for one in found if one[0] <= _AS_GOOD * least]
+    after, _, axes = min(good, key=lambda one: one[1])
+    return axes, after
+
+
+def _rms(vectors: Array) -> float:
+    return float(np.sqrt((vectors**2).sum(axis=1).mean()))
+
+
+# What marker kinematics says of a fit, a line each.
+
+_LOOSE = 1.0e-10  # of the largest eigenvalue of a Hessian: a direction that nothing tells of
+_TAKES_PART = 0.3  # entry of such a direction
+_ROUNDING = 1.0e-9  # rad or m from a limit
+
+
+def remarks_of(solver: MarkerKinematics, capture: Capture, seen: Seen, fit: Fit) -> Iterator[str]:
+    """Quality, the marker that misses most, limits, what is not determined, exchanged labels."""
+    apart = np.linalg.norm(fit.misses, axis=2) * (seen.weights > 0.0)
+    if apart.size:
+        frame, marker = np.unravel_index(int(np.argmax(apart)), apart.shape)
+        count = max(int((seen.weights > 0.0).sum()), 1)
+        yield (
+            f"markers miss by {1e3 * np.sqrt((apart**2).sum() / count):.4g} mm rms, most "
+            f"{solver.labels[marker]} by {1e3 * apart[frame, marker]:.4g} mm at "
+            f"t = {capture.times[frame]:.9g} s"
+        )
+    yield f"last steps at most {fit.remainder.max():.3g} rad or m (conditions of the optimum)"
+    lost = np.flatnonzero(~fit.settled)
+    if len(lost):
+        yield (
+            f"warning: {len(lost)} frames did not settle, the first at "
+            f"t = {capture.times[lost[0]]:.9g} s"
+        )
+    yield from _at_limits(solver, fit)
+    yield from _undetermined(solver, seen, fit)
+    for one in exchanged_labels(solver.solver, fit, seen):
+        begin, end = (capture.times[frame] for frame in one.frames)
+        yield (
+            f"warning: labels {solver.labels[one.first]} and {solver.labels[one.second]} seem "
+            f"exchanged from {begin:.9g} to {end:.9g} s: the objective would fall from "
+            f"{one.before:.3g} to {one.after:.3g} m^2"
+        )
+
+
+def _names(solver: MarkerKinematics) -> list[str]:
+    """Of the independent coordinates."""
+    robot, v = solver.robot, solver.solver.cost.couplings.v_index
+    titles = {joint.v: joint.name for joint in robot.joints} | robot.base_titles
+    return [titles[int(i)] for i in v]
+
+
+def _at_limits(solver: MarkerKinematics, fit: Fit) -> Iterator[str]:
+    y, names = fit.q[:, solver.solver.cost.y_of_q], _names(solver)
+    for bound, what in ((solver.solver.lower, "lower"), (solver.solver.upper, "upper")):
+        there = (np.abs(y - bound) <= _ROUNDING).sum(axis=0)
+        for i in np.flatnonzero(there):
+            yield f"{names[i]} is at its {what} limit of {bound[i]:.6g} in {there[i]} frames"
+
+
+def _undetermined(solver: MarkerKinematics, seen: Seen, fit: Fit) -> Iterator[str]:
+    """Coordinates that could move in the first frame without any effect."""
+    first = slice(0, 1)
+    hessian = solver.solver.cost.at(fit.q[first], seen.of(first), np.zeros(1)).hessian[0]
+    if solver.solver.loops is not None or not len(hessian):
+        return
+    values, vectors = np.linalg.eigh(hessian)
+    loose = vectors[:, values <= _LOOSE * max(values[-1], 0.0)]
+    taking = np.flatnonzero((np.abs(loose) > _TAKES_PART).any(axis=1))
+    names = dict.fromkeys(_names(solver)[i] for i in taking)
+    if names:
+        yield f"warning: markers do not determine {', '.join(names)}, which stay near the start"
 
 
 def kinematics(

@@ -1,6 +1,6 @@
 """Forces of muscles in a recorded motion: `mbd-ros muscles`."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,24 +8,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.inverse_dynamics.joint_loads import JointLoads
+from mbd_ros.core.inverse_dynamics.reserves import CoordinateReserve
 from mbd_ros.core.inverse_dynamics.torque_estimator import Observations
+from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
 from mbd_ros.features.muscles.columns import (
     joined,
     load_columns,
     share_columns,
+    together,
     topics,
     trial_columns,
 )
-from mbd_ros.features.muscles.measured_activations import measured_activations
 from mbd_ros.features.muscles.static_optimization import Shares, StaticOptimization
-from mbd_ros.features.muscles.summary import summary
 from mbd_ros.features.muscles.task import MusclesTask, muscles_task
 from mbd_ros.features.muscles.trial import Shared, shared_trial
+from mbd_ros.files.formats import read_result
 from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.files.times import time_columns
+from mbd_ros.files.times import motion_stamps, time_columns
 from mbd_ros.jobs.lines import Say
 from mbd_ros.jobs.progress import Watch, progress, watching
 from mbd_ros.motion.derivatives import Derivatives
@@ -33,6 +35,135 @@ from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.samples import Task, loads_of_laboratory, observe_motion
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.describe.coordinate_names import coordinate_names
+
+# Lines for people on how muscles shared the forces of a motion.
+
+_SHOWN = 5  # frames, coordinates or parts that a line names
+_LACKS = 1.0e-6  # of the largest need: what counts as lacking
+
+
+def summary(
+    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
+) -> Iterator[str]:
+    """The lines.
+
+    Args:
+        solver: What shared.
+        samples: The motion.
+        chunks: Its shares, some frames each.
+    """
+    criterion, reserves = solver.wishes.criterion, solver.reserves
+    passive = "takes part" if solver.wishes.passive else "is left out"
+    yield (
+        f"objective: {criterion.kind}, exponent {criterion.exponent:g}, {len(solver.muscles)} "
+        f"muscles and {len(reserves)} reserves; passive force of the fibres {passive}"
+    )
+    null, movable = together(chunks, "null_space"), [m for s in chunks for m in s.movable]
+    free = f"{null.min()}" if null.min() == null.max() else f"{null.min()} to {null.max()}"
+    yield (
+        f"optimum: largest residual {together(chunks, 'residual').max():.1e}; {free} of "
+        f"{len(solver.names)} unknowns are free to share"
+    )
+    several = [i for i, each in enumerate(movable) if each]
+    if several:
+        names = sorted({solver.names[i] for each in movable for i in each})
+        yield f"not unique in {len(several)} of {len(movable)} frames: {_listed(names)}"
+    yield from _reserve_lines(solver, chunks)
+    yield from _lacking_lines(solver, samples, chunks)
+
+
+def _reserve_lines(solver: StaticOptimization, chunks: Sequence[Shares]) -> Iterator[str]:
+    """What each reserve exerts, and its share of what its coordinate needs."""
+    forces, needed = together(chunks, "reserve"), together(chunks, "needed")
+    at = {int(v): i for i, v in enumerate(solver.known.couplings.v_index)}
+    for reserve, force in zip(solver.reserves, forces.T, strict=True):
+        line = f"reserve {reserve.name}: at most {np.abs(force).max():.4g} {reserve.unit}"
+        if isinstance(reserve, CoordinateReserve):
+            whole = _rms(needed[:, at[reserve.at]])
+            share = 100.0 * _rms(force) / whole if whole > 0.0 else 0.0
+            line += f", {share:.3g} % of what its coordinate needs (rms)"
+        yield line
+
+
+def _lacking_lines(
+    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
+) -> Iterator[str]:
+    """Frames whose forces muscles and reserves cannot produce, and what lacks most."""
+    lacks = np.flatnonzero(~together(chunks, "is_feasible"))
+    if not len(lacks):
+        return
+    needed, lacking = together(chunks, "needed"), together(chunks, "lacking")
+    names = coordinate_names(solver.robot, solver.known.couplings)
+    times = [f"{samples.stamps[i] * NANOSECOND:.6g}" for i in lacks]
+    yield (
+        f"warning: {len(lacks)} of {len(needed)} frames need more than muscles and reserves can "
+        f"give, at {_listed(times)} s"
+    )
+    most = np.abs(lacking).max(axis=0)
+    order = np.argsort(-most)
+    scale = _LACKS * np.abs(needed).max(initial=0.0)
+    texts = []
+    for i in (i for i in order if most[i] > scale):
+        row = int(np.abs(lacking[:, i]).argmax())
+        time = samples.stamps[row] * NANOSECOND
+        texts.append(f"{names[i]} lacks {lacking[row, i]:.4g} at {time:.6g} s")
+    yield f"warning: at most: {_listed(texts)}"
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _listed(texts: Sequence[str]) -> str:
+    more = f", .. ({len(texts)})" if len(texts) > _SHOWN else ""
+    return ", ".join(texts[:_SHOWN]) + more
+
+
+# Activations that were measured, at the frames of a motion.
+
+_QUANTITY = "activation"
+
+
+def measured_activations(
+    path: Path | None, muscles: Sequence[Muscle], stamps: NDArray[np.int64]
+) -> Array | None:
+    """Columns `<muscle>.activation`, linear between their rows, NaN for a muscle without one.
+
+    Args:
+        path: A table; None where nothing was measured.
+        muscles: The muscles.
+        stamps: Of the frames [ns], shape (frames,).
+
+    Raises:
+        DataError: A file that cannot be read, has none of the muscles, values outside 0 .. 1, or
+            does not cover the motion.
+    """
+    if path is None:
+        return None
+    table = read_result(path)[MAIN]
+    known = [i for i, muscle in enumerate(muscles) if f"{muscle.name}.{_QUANTITY}" in table]
+    if not known:
+        names = ", ".join(f"{muscle.name}.{_QUANTITY}" for muscle in muscles)
+        raise DataError(f"{path}: no column of a muscle, accepted: {names}")
+    at = motion_stamps(table, str(path))
+    if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
+        covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]]) if len(at) else "no"
+        asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
+        raise DataError(f"{path}: activations at {covered} s do not cover the motion at {asked} s")
+    found = np.full((len(stamps), len(muscles)), np.nan)
+    for i in known:
+        values = table[f"{muscles[i].name}.{_QUANTITY}"]
+        outside = np.flatnonzero(~((values >= 0.0) & (values <= 1.0)))
+        if len(outside):
+            row = int(outside[0])
+            raise DataError(
+                f"{path}: {muscles[i].name}.{_QUANTITY} at {at[row] * NANOSECOND:.6g} s is "
+                f"{values[row]:.6g}, accepted: 0 .. 1"
+            )
+        found[:, i] = np.interp((stamps - at[0]) * NANOSECOND, (at - at[0]) * NANOSECOND, values)
+    return found
+
 
 _CHUNK = 256  # frames between two signs of progress
 _NO_OPTIONS: Mapping[str, Any] = {}

@@ -8,19 +8,146 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.inverse_dynamics.torque_estimator import Observations
+from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
 from mbd_ros.core.muscles.array_numbers import ArrayNumbers
+from mbd_ros.core.muscles.contraction import Contraction, Fiber
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.features.muscles.muscle_dynamics import MuscleDynamics, muscles_with
-from mbd_ros.features.muscles.muscle_trial import Excited, Optimal
+from mbd_ros.features.muscles.muscle_frames import Frames
+from mbd_ros.features.muscles.muscle_trial import Excited, Optimal, Trial
+from mbd_ros.features.muscles.sharing_costs import sizes_of
 from mbd_ros.features.muscles.static_optimization import Shares, StaticOptimization
-from mbd_ros.features.muscles.trial_error import between
-from mbd_ros.features.muscles.trial_guess import first_guess, moved
-from mbd_ros.features.muscles.trial_known import known_at, rigid_tensions
 from mbd_ros.features.muscles.trial_points import Points, graded
 from mbd_ros.jobs.progress import announce
 from mbd_ros.optimal_control.collocation import RADAU, collocation
+
+# What is known of a trial of muscles: the motion, and what it takes.
+
+_LEAST_SIZE = 1.0e-3  # of the largest force: what a coordinate that needs hardly anything counts
+
+
+def known_at(
+    points: Points,
+    solver: StaticOptimization,
+    muscles: Sequence[Muscle],
+    samples: Observations,
+    wrenches: Sequence[Array],
+    activations: Callable[[Array], Array | None],
+) -> Trial:
+    """The motion at the points, by cubic splines through its samples."""
+    from scipy.interpolate import CubicSpline
+
+    times = (samples.stamps - samples.stamps[0]) * NANOSECOND
+    at = points.whole
+    measured = activations(samples.stamps[0] + np.round(at / NANOSECOND).astype(np.int64))
+    motion = [CubicSpline(times, values)(at) for values in samples[1:4]]
+    for body in IndependentCoordinates(solver.robot, solver.known.couplings).body_y:
+        turn = motion[0][:, body[3:7]]
+        motion[0][:, body[3:7]] = turn / np.linalg.norm(turn, axis=1, keepdims=True)
+    loads = [CubicSpline(times, wrench)(at) for wrench in wrenches]
+    frames, needed = solver.demand(*motion, loads)
+    n = len(muscles)
+    columns = frames.columns.copy()
+    columns[:, :, n:] *= [reserve.optimal for reserve in solver.reserves]
+    prices = solver.wishes.criterion.prices(sizes_of(muscles), frames.active, frames.fiber_speed)
+    least = np.tile([float(muscle.dynamics.least) for muscle in muscles], (len(at), 1))
+    stiffness, target = np.zeros_like(least), np.zeros_like(least)
+    if measured is not None:
+        given = np.isfinite(measured)
+        target[given] = measured[given]
+        if solver.wishes.measured_is_least:
+            least = np.where(given, np.clip(target, least, 1.0), least)
+        stiffness[given] = solver.wishes.tracking
+    largest = np.abs(needed).max(axis=0, initial=0.0)
+    sizes = np.maximum(largest, _LEAST_SIZE * largest.max(initial=0.0))
+    return Trial(
+        *(np.diff(points.knots), frames.length, *rigid_tensions(muscles, frames), columns, needed),
+        *(np.where(sizes > 0.0, sizes, 1.0), np.array(prices), stiffness, target, least),
+        np.array([reserve.limits for reserve in solver.reserves]).reshape(-1, 2).T,
+    )
+
+
+def rigid_tensions(muscles: Sequence[Muscle], frames: Frames) -> tuple[Array, Array]:
+    """Tensions beside rigid tendons at full activation less those without, and these [N]."""
+    k, none = ArrayNumbers, np.zeros_like(frames.length)
+    strength, offset = none, none.copy()
+    for i, muscle in enumerate(muscles):
+        law, length, speed = muscle.contraction, frames.length[:, i], frames.speed[:, i]
+        if not muscle.is_elastic:
+            fiber = law.beside_rigid_tendon(k, length, speed)
+            taut = (length - law.slack > law.pennation.reach) * fiber.cosine
+            strength[:, i] = law.active(k, 1.0, fiber) * taut
+            offset[:, i] = (law.passive(k, fiber) + law.damping(fiber)) * taut
+    return strength, offset
+
+
+# Where a trial of muscles is looked for first, and again at other times.
+
+_BISECTIONS = 30
+
+
+def first_guess(muscles: Sequence[Muscle], at: Array, times: Array, static: Shares) -> Excited:
+    """Excitations as activations of frames one by one, fibres at rest beside their tendons."""
+    every = static.activation, static.frames.length
+    activation, length = (
+        np.stack([np.interp(at, times, column) for column in values.T], axis=1) for values in every
+    )
+    elastic = [i for i, muscle in enumerate(muscles) if muscle.is_elastic]
+    fibers, speeds = np.zeros((2, len(at), len(elastic)))
+    for column, i in enumerate(elastic):
+        law = muscles[i].contraction
+        fibers[:, column] = _at_rest(law, activation[:, i], length[:, i])
+        speeds[:, column] = np.gradient(fibers[:, column], at) / law.fastest
+    efforts = np.zeros((len(at), static.reserve.shape[1]))
+    return Excited(activation, activation, efforts, fibers, speeds)
+
+
+def _at_rest(law: Contraction, activation: Array, length: Array) -> Array:
+    """Lengths at which fibres and tendons are in balance [m], by bisection."""
+    k, short = ArrayNumbers, np.full_like(length, max(law.pennation.shortest, 0.1 * law.optimal))
+    long = np.maximum(law.pennation.fiber(k, length - law.slack), 1.01 * short)
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (short + long)
+        fiber = Fiber(middle, law.cosine(k, middle), 0.0 * middle)
+        along = law.active(k, activation, fiber) + law.passive(k, fiber)
+        pulls = law.tendon(k, length, middle) > along * fiber.cosine
+        short, long = np.where(pulls, middle, short), np.where(pulls, long, middle)
+    return 0.5 * (short + long)
+
+
+def moved(points: Points, found: Excited, at: Array) -> Excited:
+    """What was found, at other times."""
+    states = (points.states(values, at) for values in (found.activation, found.fiber_length))
+    activation, fibers = states
+    inputs = found.excitation, found.effort, found.fiber_speed
+    excitation, effort, speed = (points.inputs(values, at) for values in inputs)
+    return Excited(activation, excitation, effort, fibers, speed)
+
+
+# How far activations of a trial are off between the points where it is looked at.
+
+
+def between(muscles: Sequence[Muscle], points: Points, found: Excited) -> Array:
+    """Largest error of the activations over each interval, by their defect between the points.
+
+    Args:
+        muscles: The muscles.
+        points: Where they are looked at.
+        found: What they do there.
+    """
+    ends = np.concatenate(([0.0], points.scheme.c))
+    inner, h = 0.5 * (ends[1:] + ends[:-1]), np.diff(points.knots)[:, None]
+    t, short = (points.knots[:-1, None] + h * inner).ravel(), 1.0e-4 * h.min()
+    before, after = (points.states(found.activation, t + way * short) for way in (-1.0, 1.0))
+    a, e = 0.5 * (before + after), points.inputs(found.excitation, t)
+    rates = [m.dynamics.rate(ArrayNumbers, e[:, i], a[:, i]) for i, m in enumerate(muscles)]
+    defect = np.abs((after - before) / (2.0 * short) - np.stack(rates, axis=1)).max(axis=1)
+    widest = h[:, 0] * np.diff(ends).max()
+    found_: Array = defect.reshape(len(h), -1).max(axis=1) * widest
+    return found_
+
 
 _ACCURACY, _MOST, _ROUNDS = 1.0e-6, 500, 2
 _FINER = 0.1  # accuracy where costs are flat at small excitations

@@ -9,7 +9,6 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.features.prediction.attempts import Beginning, solved_from
-from mbd_ros.features.prediction.interruption import Interruption, interruptible
 from mbd_ros.features.prediction.mesh_errors import SAVED, Look, Passing, look_at, next_mesh
 from mbd_ros.features.prediction.problem import Problem
 from mbd_ros.features.prediction.task import PredictTask
@@ -22,6 +21,43 @@ from mbd_ros.optimal_control.unknowns import PhaseMotion, steps_of
 if TYPE_CHECKING:
     from mbd_ros.optimal_control.ipopt import Progress
     from mbd_ros.optimal_control.motion_program import Solution
+
+import signal
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+# Ctrl-C ends a search after an iteration instead of the process, so that what it has is kept.
+
+
+class Interruption:
+    """Whether somebody asked for the end.
+
+    Attributes:
+        is_asked: Whether it was.
+    """
+
+    def __init__(self) -> None:
+        self.is_asked = False
+
+
+@contextmanager
+def interruptible() -> Iterator[Interruption]:
+    """Take SIGINT for as long as the context lasts; nothing in other threads than the main one."""
+    found = Interruption()
+    if threading.current_thread() is not threading.main_thread():
+        yield found
+        return
+
+    def ask(number: int, frame: object) -> None:
+        found.is_asked = True
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield found
+    finally:
+        signal.signal(signal.SIGINT, before)
+
 
 STOPPED = "User_Requested_Stop"
 _LEAST = 1.0e-9  # of the usual size of a cost: less is none

@@ -7,8 +7,8 @@ from typing import Annotated, Any, Literal
 
 from mbd_ros.core.ranges import Within
 from mbd_ros.errors import SceneError
+from mbd_ros.features.prediction.smooth_muscles import SMOOTH
 from mbd_ros.features.prediction.task_goals import goals_of
-from mbd_ros.features.prediction.task_guess import guess_of, muscles_of
 from mbd_ros.features.prediction.task_phases import PhaseTask, phases_of
 from mbd_ros.features.prediction.task_ranges import FREE, duration_of, open_range, ranges
 from mbd_ros.features.prediction.task_recording import DrivenBy, RecordingTask, recording_of
@@ -16,6 +16,48 @@ from mbd_ros.optimal_control.collocation import LARGEST_DEGREE
 from mbd_ros.optimal_control.problem import Range
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.locate import find_file
+
+# The guess of a task of prediction, and the muscles that it asks for.
+
+
+def guess_of(
+    given: Any, where: str, folder: Path
+) -> tuple[dict[str, tuple[float, ...]], Path | None]:
+    """Lines of a guess, or its file.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    if given is None:
+        return {}, None
+    if isinstance(given, str):
+        return {}, find_file(folder, given, where)
+    if not isinstance(given, dict):
+        raise SceneError(f"{where}: expected a file, or quantities with values, got {given!r}")
+    return {
+        str(key): tuple(
+            schema.value(
+                one if isinstance(one, list) else [one], Sequence[float], f"{where}.{key}"
+            )
+        )
+        for key, one in given.items()
+    }, None
+
+
+def muscles_of(given: Any, where: str) -> Mapping[str, Any] | None:
+    """Arguments of the muscles in place of those of the scene; None where these stay.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    if given is None:
+        return None
+    entry = {"type": given} if isinstance(given, str) else dict(given)
+    if entry.pop("type", None) != SMOOTH:
+        raise SceneError(f"{where}: accepted: {SMOOTH}, or {{type: {SMOOTH}, tendon: rigid}}")
+    return entry
+
 
 Scheme = Literal["gauss", "radau", "hermite_simpson"]
 Count = Annotated[int, Within(1, 10_000)]

@@ -1,31 +1,124 @@
 """The shell of every node: parameters, topics, diagnostics, time. `process.run` drives it."""
 
-from collections.abc import Callable, Sequence
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
+from itertools import pairwise
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
+import yaml
 from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import Executor
+from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import QoSProfile
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from mbd_ros.errors import MbdError
-from mbd_ros.nodes.shell.clock_guard import guard_clock
 from mbd_ros.nodes.shell.declared import Declared
 from mbd_ros.nodes.shell.entities import Entities
 from mbd_ros.nodes.shell.health import Diagnostics, Drops, Endpoint, topic_problems
 from mbd_ros.nodes.shell.life_cycle import LifeCycle
-from mbd_ros.nodes.shell.parameter_files import file_warnings
 from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter, ParameterError
 from mbd_ros.nodes.shell.serialized import message_of
+from msg_adapters.clock import read_clock
 from msg_adapters.diagnostics import ERROR, OK, WARN
 from msg_adapters.errors import MessageError
+
+# Faults of parameter files that rcl accepts in silence: duplicate keys and keys of no node.
+
+
+def file_warnings(argv: Sequence[str], node_name: str) -> list[str]:
+    """Faults that rcl accepts in silence in the files after --params-file.
+
+    Args:
+        argv: Command line.
+        node_name: Fully qualified name of the node.
+
+    Returns:
+        A line per duplicate key (the last one wins), and per file of which no key is this node.
+    """
+    files = [value for flag, value in pairwise(argv) if flag == "--params-file"]
+    lines: list[str] = []
+    for file in files:
+        try:
+            tree = yaml.compose(Path(file).read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+        except yaml.YAMLError as error:
+            lines.append(f"{file}: not checked for duplicate and unused keys: {error}")
+            continue
+        lines += [f"{file}: key '{key}' is given twice, the last wins" for key in _twice(tree)]
+        keys = sorted(set(_node_keys(tree, "")))
+        if not any(_matches(key, node_name) for key in keys):
+            lines.append(
+                f"{file}: no key is this node: the keys {', '.join(keys)} do not match; "
+                f"accepted: {node_name} or /**"
+            )
+    return lines
+
+
+def _entries(tree: Any) -> Iterable[tuple[Any, Any]]:
+    return tree.value if isinstance(tree, yaml.MappingNode) else ()
+
+
+def _twice(tree: Any) -> Iterator[str]:
+    counts = Counter(key.value for key, _ in _entries(tree))
+    yield from (key for key, count in counts.items() if count > 1)
+    for _, value in _entries(tree):
+        yield from _twice(value)
+
+
+def _node_keys(tree: Any, path: str) -> Iterator[str]:
+    for key, value in _entries(tree):
+        if key.value == "ros__parameters":
+            yield path
+        else:
+            yield from _node_keys(value, f"{path}/{key.value.strip('/')}")
+
+
+def _matches(key: str, node_name: str) -> bool:
+    pattern = re.escape(key).replace(r"/\*\*", "(/[^/]+)*").replace(r"/\*", "/[^/]+")
+    return re.fullmatch(pattern, node_name) is not None
+
+
+# Checks of /clock: rclpy takes any message, and a bad one ends the process.
+
+
+def guard_clock(node: Node, drop: Callable[[str], None]) -> None:
+    """Let a node in simulated time ignore messages of /clock without a valid time.
+
+    A negative second raises in rclpy, out of the callback; a nanosec of a second or more gives a
+    time that no stamp can carry.
+
+    Args:
+        node: The node, as constructed.
+        drop: Told of each ignored message.
+    """
+    source = node._time_source
+    take = source.clock_callback
+
+    def take_if_time(msg: Any) -> None:
+        try:
+            now = read_clock(msg)
+        except MessageError as error:
+            drop(f"/clock: {error}")
+            return
+        if now < 0:
+            drop(
+                f"/clock: {msg.clock.sec} s is before the beginning of time; accepted: 0 and more"
+            )
+            return
+        take(msg)
+
+    source.clock_callback = take_if_time  # of a subscription that is made later
+    if source._clock_sub is not None:
+        source._clock_sub.callback = take_if_time
 
 
 class Shell(LifeCycle):

@@ -1,15 +1,18 @@
 """Node `web_view`: a page that shows robots as their topics tell of them, and leads them."""
 
 import gc
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import InvalidTopicNameException
+from rclpy.parameter import Parameter
 from rclpy.validate_topic_name import validate_topic_name
+from std_srvs.srv import SetBool, Trigger
 
 from mbd_ros.core.state import Array
 from mbd_ros.nodes.shell.parameters import ParameterError
@@ -17,12 +20,73 @@ from mbd_ros.nodes.shell.scene_node import SceneNode
 from mbd_ros.nodes.web_view.leading import Leading
 from mbd_ros.nodes.web_view.parameters import PARAMETERS
 from mbd_ros.nodes.web_view.robot_topics import RobotTopics, within
-from mbd_ros.nodes.web_view.simulator_client import SimulatorClient
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.view.live_page import LivePage
+from mbd_ros.view.live_panel import REAL_TIME_FACTOR, Wish
 from mbd_ros.view.live_robot import LiveRobot
 from mbd_ros.view.server import PageServer
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN, read_diagnostics
+
+# The services of one simulator: what buttons of a page ask for.
+
+_TRIGGERS = ("reset", "step")
+_PAUSES = {"pause": True, "run": False}
+
+
+class SimulatorClient:
+    """Asks one simulator, and tells what it answered.
+
+    Args:
+        ask_of: Makes a client of a service of that type and name.
+        name: Of the simulator, relative or absolute.
+        tell: Is told the answers.
+
+    Attributes:
+        name: As given.
+    """
+
+    def __init__(
+        self, ask_of: Callable[[type, str], Any], name: str, tell: Callable[[str], None]
+    ) -> None:
+        self.name, self._tell = name, tell
+        self._clients = {what: ask_of(Trigger, f"{name}/{what}") for what in _TRIGGERS}
+        self._pause = ask_of(SetBool, f"{name}/pause")
+        self._parameters = ask_of(SetParameters, f"{name}/set_parameters")
+        self._waiting: dict[Any, Any] = {}
+
+    def do(self, wish: Wish) -> None:
+        """Ask for what somebody wished for."""
+        if wish.what in _PAUSES:
+            self._ask(self._pause, SetBool.Request(data=_PAUSES[wish.what]), wish.what)
+        elif wish.what == REAL_TIME_FACTOR:
+            changed = Parameter("real_time_factor", value=wish.value).to_parameter_msg()
+            request = SetParameters.Request(parameters=[changed])
+            self._ask(self._parameters, request, f"{wish.what} {wish.value:g}")
+        else:
+            self._ask(self._clients[wish.what], Trigger.Request(), wish.what)
+
+    def _ask(self, client: Any, request: Any, what: str) -> None:
+        """Ask; an older question to the same service is answered no more."""
+        if client in self._waiting:
+            client.remove_pending_request(self._waiting.pop(client))
+        if not client.service_is_ready():
+            self._tell(f"{what}: no {self.name} there")
+            return
+        self._tell(f"{what}: asked")
+        self._waiting[client] = future = client.call_async(request)
+        future.add_done_callback(partial(self._answered, client, what))
+
+    def _answered(self, client: Any, what: str, future: Any) -> None:
+        if self._waiting.get(client) is not future:
+            return
+        del self._waiting[client]
+        answer = future.result()
+        if hasattr(answer, "results"):
+            refused = [result.reason for result in answer.results if not result.successful]
+            self._tell(f"{what}: {refused[0] if refused else 'done'}")
+        else:
+            self._tell(f"{what}: {answer.message}")
+
 
 _SILENT = 1.0  # s without joint states that are reported
 _REPORTS, _LONGEST = 50, 300  # nodes whose diagnostics are shown, and characters of each

@@ -1,21 +1,26 @@
 """The parts that a scene builds and leaves out, and the cost of a call."""
 
+import math
 import sys
+import timeit
 from collections.abc import Iterator
+from functools import partial
 
 import numpy as np
+import pinocchio as pin
 
 from mbd_ros.core.dynamics.mass_check import check_mass
-from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.phase_queries import inward
+from mbd_ros.core.dynamics.system import System, evaluation_at
 from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.integration.linear_motion import linear_motion, longest_step
 from mbd_ros.core.inverse_dynamics.reach import listed
 from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.row_factor import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import SolveError
-from mbd_ros.scene.built_scene import Scene, Tell
-from mbd_ros.scene.describe.call_costs import forward_cost, inverse_cost
+from mbd_ros.scene.built_scene import DEFAULT_STABLE, Scene, Tell
 from mbd_ros.scene.describe.part_lines import (
     line,
     member_lines,
@@ -24,7 +29,119 @@ from mbd_ros.scene.describe.part_lines import (
     unused_rubbing,
 )
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
-from mbd_ros.scene.describe.step_lines import step_lines
+
+# What a call of the equations of a scene costs, measured.
+
+_CALLS, _REPEATS = 2000, 5
+MEASURED = 0.02  # s for which a call is timed, a few times over
+
+
+def inverse_cost(scene: Scene, x: State) -> str:
+    """Time of a call of inverse dynamics; empty where a motion does not show what it takes.
+
+    Args:
+        scene: The scene.
+        x: Consistent state of all joints.
+    """
+    if scene.unmeasured:
+        return ""
+    return _loop_cost(scene, x) if scene.has_loops else _cost(scene)
+
+
+def _cost(scene: Scene) -> str:
+    robot, model = scene.robot, scene.robot.model
+    q, v = pin.neutral(model), np.zeros(model.nv)
+    bare = _best(partial(pin.rnea, model, pin.Data(model), q, v, v))
+    inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
+    z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
+    ours = _best(lambda: inverse.solve(z, w, w, loads))
+    ratio = f"{ours / bare:.1f} x a bare rnea of {len(robot.joints)} joints"
+    return f"one inverse-dynamics call {ours * 1e6:.1f} us, {ratio}"
+
+
+def _loop_cost(scene: Scene, x: State) -> str:
+    drives = [section.key for section in scene.sections if "command" in section.offers]
+    every = scene.without(drives).closed_loop()  # so that no fixed base is out of reach
+    x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
+    call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
+    return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"
+
+
+def forward_cost(scene: Scene, system: System, x: State) -> str:
+    """Time of a call of forward dynamics.
+
+    Args:
+        scene: The scene.
+        system: Its system.
+        x: Consistent start of what it integrates.
+    """
+    model, given = system.model, scene.initial
+    bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
+    y = x  # else in its mode
+    if system.exact is not None:
+        simulation = scene.simulation(solver={"type": "plain"})
+        y = inward(simulation.system, simulation.start(given))
+    ours = _best(evaluation_at(system, y))
+    return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
+
+
+def _best(call: object) -> float:
+    """Shortest time of a call [s], by as many calls as there is time for."""
+    timer = timeit.Timer(call)  # type: ignore[arg-type]
+    first = timer.timeit(1)
+    if first >= MEASURED:
+        return first
+    calls = int(min(max(MEASURED / first, 1), _CALLS))
+    return min(timer.repeat(_REPEATS, calls)) / calls
+
+
+# Lines of `mbd-ros check` about the step: rates that are too fast, contacts too stiff for it.
+
+
+def step_lines(scene: Scene, system: System, x: State) -> Iterator[str]:
+    """Windows of contacts that give way, and warnings of a step that is too long.
+
+    Args:
+        scene: The scene.
+        system: Its system.
+        x: Consistent start of what it integrates.
+    """
+    yield from _windows(scene, system, x)
+    motion, method = linear_motion(system, x), scene.integrator
+    name = scene.default_integrator["type"]
+    if method is not None:
+        name = type_name(method)
+    elif motion.rate * scene.dt > DEFAULT_STABLE:
+        method = scene.method
+    longest = math.inf if method is None else longest_step(method, motion, scene.dt)
+    if not math.isfinite(motion.rate):
+        yield line("warning", f"stiff: forces change too steeply for any step of {name}")
+    elif longest < math.inf:
+        limit = f"steps of {name} need dt < {longest:.2g} s, gauss_legendre does not"
+        stiff = f"stiff: fastest rate {motion.rate:.3g} 1/s at dt {scene.dt:g} s"
+        yield line("warning", f"{stiff}; {limit}")
+
+
+def _windows(scene: Scene, system: System, x: State) -> Iterator[str]:
+    parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
+    if not parts:
+        return
+    from mbd_ros.scene.describe.window_lines import (
+        depth_doubts,
+        window_doubts,
+        window_text,
+        windows_at,
+    )
+
+    method = scene.method
+    start = system.expand(x)
+    found = windows_at(system, parts, method, scene.dt, start)
+    for window in found:
+        yield line("window", window_text(window, method, scene.dt))
+    for window in found:
+        yield from (line("warning", text) for text in window_doubts(window, method, scene.dt))
+    yield from (line("warning", text) for text in depth_doubts(system, parts, [start]))
+
 
 _PLAIN = {"type": "plain"}
 _TIERS = {

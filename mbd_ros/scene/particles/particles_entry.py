@@ -1,24 +1,207 @@
 """The sections of a scene of particles, but for its units."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.particles.fields import Field, PolynomialField, UniformField
+from mbd_ros.core.particles.molecules import Molecules
 from mbd_ros.core.particles.pairs import Pairs
 from mbd_ros.core.particles.particle_system import ParticleSystem
+from mbd_ros.core.particles.row_geometry import DistanceRow
 from mbd_ros.core.particles.units import Units
 from mbd_ros.core.ranges import LARGEST, NotNegative, Vector, Within
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SceneError, SolveError
-from mbd_ros.scene.particles.field_entries import read_fields
 from mbd_ros.scene.particles.molecule_entries import MOST, MoleculeEntry, read_molecule
 from mbd_ros.scene.particles.pair_entries import read_pairs, refuse_overlap
-from mbd_ros.scene.particles.placement import Room, placed
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.nearest import nearest
+
+# Where molecules stand at the start.
+
+_UNLIKE = 0.4  # of a length: what its bond in a file differs by, if it is that bond
+
+
+@dataclass(frozen=True)
+class _Placement:
+    positions: Sequence[Any] | None = None
+    file: str | None = None
+    lattice: str | None = None
+    seed: Annotated[int, Within(0, 2**63 - 1)] = 0
+
+
+class Room(NamedTuple):
+    """What placements need to know.
+
+    Attributes:
+        folder: Where relative paths start.
+        units: Of the scene.
+        box: Edges of the periodic box; None without one.
+    """
+
+    folder: Path
+    units: Units
+    box: Array | None
+
+
+def placed(entry: MoleculeEntry, room: Room) -> Array:
+    """Positions of all atoms of a kind, shape (count * atoms, 3).
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    kind, where = entry.kind, f"{entry.where}.placement"
+    if entry.placement is None:
+        if kind.count > 1 and room.box is not None:
+            return _on_lattice(kind, room.box, 0)
+        return np.tile(kind.at, (kind.count, 1))
+    placement: _Placement = schema.call(_Placement, entry.placement, where)
+    ways = (placement.positions, placement.file, placement.lattice)
+    if sum(way is not None for way in ways) != 1:
+        raise SceneError(f"{where}: give either 'positions', 'file' or 'lattice'")
+    if placement.file is not None:
+        return _from_file(kind, placement.file, room, where)
+    if placement.positions is not None:
+        offsets = _offsets(placement.positions, kind.count, f"{where}.positions")
+        return (offsets[:, None] + kind.at).reshape(-1, 3)
+    if placement.lattice != "cubic":
+        raise SceneError(f"{where}.lattice: got {placement.lattice!r}, accepted: cubic")
+    if room.box is None:
+        raise SceneError(f"{where}.lattice: needs the key 'box' of particles")
+    return _on_lattice(kind, room.box, placement.seed)
+
+
+def _offsets(given: Sequence[Any], count: int, where: str) -> Array:
+    try:
+        offsets = np.array(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        offsets = np.zeros(0)
+    if offsets.shape != (count, 3) or not np.isfinite(offsets).all():
+        raise SceneError(f"{where}: expected {count} places of 3 numbers, one a molecule")
+    return offsets
+
+
+def _on_lattice(kind: Molecules, box: Array, seed: int) -> Array:
+    """Centres of the cells of a cubic lattice, turned at random."""
+    edge = math.ceil(kind.count ** (1.0 / 3.0) - 1.0e-9)
+    cells = np.array(list(np.ndindex(edge, edge, edge)))[: kind.count]
+    turns = np.random.Generator(np.random.Philox(seed)).normal(size=(kind.count, 4))
+    turns /= np.linalg.norm(turns, axis=1, keepdims=True)
+    center = kind.masses.dot(kind.at) / kind.masses.sum()
+    turned = np.einsum("nij,aj->nai", _rotations(turns), kind.at - center)
+    return (((cells + 0.5) / edge * box)[:, None] + turned).reshape(-1, 3)
+
+
+def _rotations(unit: Array) -> Array:
+    """Rotation matrices of unit quaternions (x, y, z, w), shape (n, 3, 3)."""
+    v, w = unit[:, :3], unit[:, 3, None, None]
+    cross = np.cross(np.eye(3)[None], v[:, None, :])
+    rotations: Array = np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross
+    return rotations
+
+
+def _from_file(kind: Molecules, name: str, room: Room, where: str) -> Array:
+    from mbd_ros.scene.particles.coordinate_files import read_coordinates
+    from mbd_ros.scene.schema.locate import find_file
+
+    path = find_file(room.folder, name, f"{where}.file")
+    if not room.units.sizes:
+        raise SceneError(
+            f"{where}.file: {path} has units of its own, a scene in reduced units not"
+        )
+    metres = read_coordinates(path, f"{where}.file")
+    if len(metres) != kind.size:
+        raise SceneError(
+            f"{where}.file: {path} has {len(metres)} atoms, accepted: {kind.size}, "
+            f"{kind.count} times {', '.join(kind.atoms)}"
+        )
+    return _whole(kind, metres / room.units.sizes[0], room.box, f"{where}.file: {path}")
+
+
+def _whole(kind: Molecules, x: Array, box: Array | None, where: str) -> Array:
+    """The same positions, molecules that the box cuts put together.
+
+    Raises:
+        SceneError: A bond is far from its length: the atoms stand in another order.
+    """
+    whole = x.reshape(kind.count, -1, 3)
+    if box is not None:
+        whole = whole - box * np.rint((whole - whole[:, :1]) / box)
+    for row in kind.rows:
+        if not isinstance(row, DistanceRow):
+            continue
+        apart = np.linalg.norm(whole[:, row.i] - whole[:, row.j], axis=1)
+        k = int(np.argmax(np.abs(apart / row.length - 1.0)))
+        if not abs(apart[k] / row.length - 1.0) <= _UNLIKE:
+            raise SceneError(
+                f"{where}: {row.name} of molecule {k + 1} is {apart[k]:.3g} long, accepted: about "
+                f"{row.length:.3g}; are its atoms in the order {', '.join(kind.atoms)}?"
+            )
+    return whole.reshape(-1, 3)
+
+
+# External fields of a scene of particles.
+
+_HIGHEST = 12  # power of a coordinate
+
+
+@dataclass(frozen=True)
+class _Uniform:
+    acceleration: Vector
+
+
+@dataclass(frozen=True)
+class _Term:
+    coefficient: float
+    powers: Sequence[int]
+
+
+@dataclass(frozen=True)
+class _Polynomial:
+    terms: Sequence[Any]
+
+
+_TYPES = {"uniform": _Uniform, "polynomial": _Polynomial}
+
+
+def read_fields(given: Any, where: str) -> tuple[Field, ...]:
+    """The fields of the section.
+
+    Raises:
+        SceneError: Names file and key.
+    """
+    if given is None:
+        return ()
+    if not isinstance(given, list):
+        raise SceneError(f"{where}: expected a list, got {given!r}")
+    return tuple(_field(entry, f"{where}[{i}]") for i, entry in enumerate(given))
+
+
+def _field(entry: Any, where: str) -> Field:
+    kind = entry.get("type") if isinstance(entry, dict) else None
+    if kind not in _TYPES:
+        raise SceneError(f"{where}: unknown type {kind!r}, accepted: {', '.join(_TYPES)}")
+    rest = {key: value for key, value in entry.items() if key != "type"}
+    if kind == "uniform":
+        uniform: _Uniform = schema.call(_Uniform, rest, where)
+        return UniformField(np.array(uniform.acceleration))
+    given: _Polynomial = schema.call(_Polynomial, rest, where)
+    terms = [schema.call(_Term, term, f"{where}.terms[{i}]") for i, term in enumerate(given.terms)]
+    for i, term in enumerate(terms):
+        if len(term.powers) != 3 or not all(0 <= p <= _HIGHEST for p in term.powers):
+            raise SceneError(
+                f"{where}.terms[{i}].powers: {term.powers}, accepted: three whole numbers, "
+                f"0 to {_HIGHEST}"
+            )
+    powers = np.array([term.powers for term in terms], dtype=np.float64).reshape(-1, 3)
+    return PolynomialField(np.array([term.coefficient for term in terms]), powers)
+
 
 Seed = Annotated[int, Within(0, 2**63 - 1)]
 Step = Annotated[float, Within(1.0e-30, LARGEST)]

@@ -1,14 +1,165 @@
 """Section `contacts`: pairs of shapes -> contacts."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any
 
-from mbd_ros.core.geometry.shapes import Between
-from mbd_ros.errors import SceneError
+import numpy as np
+
+from mbd_ros.core.geometry.shapes import (
+    Between,
+    Box,
+    Capsule,
+    Cylinder,
+    HalfSpace,
+    Mesh,
+    Points,
+    Shape,
+    Side,
+    Sphere,
+)
+from mbd_ros.core.model.points import Point
+from mbd_ros.core.model.robot import WORLD, Robot
+from mbd_ros.core.ranges import LARGEST, Length, Positive, Unit, Vector, Within
+from mbd_ros.core.rows.pair_rows import check_normal, plane_of
+from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.reading.building import Site
-from mbd_ros.scene.reading.contact_shapes import read_side
 from mbd_ros.scene.reading.part_entries import MAX_ROWS, build_section
 from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.locate import find_file
+
+# One side of a contact as a scene writes it -> shapes on a link.
+
+GROUND = "ground"  # the half space below the origin of the world, unless something is called so
+MAX_POINTS = 200  # of one entry: as many as a scene may have rows of contacts
+_Metres = Annotated[Positive, Unit("m")]
+_NotNegative = Annotated[float, Within(0.0, LARGEST), Unit("m")]
+_Sides = Annotated[Sequence[Positive], Length(3), Unit("m")]
+_Points = Annotated[Sequence[Vector], Unit("m")]
+
+
+def read_side(site: Site, given: Any, where: str) -> Side:
+    """A name, or a mapping with one shape and where it stands.
+
+    Args:
+        site: Where the section is built.
+        given: What the file holds.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    if isinstance(given, str):
+        return _named(site, given, where)
+    entry = dict(schema.value(given, Mapping[str, Any], where))
+    found = [key for key in _SHAPES if key in entry]
+    if len(found) != 1:
+        got = ", ".join(found) or ", ".join(entry) or "none"
+        raise SceneError(f"{where}: expected one shape of {', '.join(_SHAPES)}, got {got}")
+    (kind,) = found
+    size = entry.pop(kind)
+    frame, at = schema.call(_placed, entry, where, site.robot)
+    return Side(frame, (_shape(site, kind, size, at, f"{where}.{kind}"),))
+
+
+def _named(site: Site, name: str, where: str) -> Side:
+    """The shape of a body, the ground, or what a description says of a link."""
+    robot = _robot(site)
+    recipe = next((r for r in robot.recipes if r.name and r.name == name), None)
+    if recipe is not None and recipe.shape is not None:
+        return Side(name, (_shape(site, *recipe.shape, robot.point(name), where),))
+    if name == GROUND and not robot.model.existFrame(name):
+        rest = _at_rest(robot)
+        return Side(rest, (HalfSpace(robot.point(rest)),))
+    try:
+        robot.frame(name)
+    except ModelError as error:
+        raise SceneError(f"{where}: {error}; or {GROUND}, where nothing is called so") from error
+    from mbd_ros.scene.reading.collision_shapes import collisions_of
+
+    shapes = []
+    for i, found in enumerate(collisions_of(site, name, where)):
+        at = robot.point(name, found.xyz, found.rpy)
+        told = f"{where}: {name}: <collision> {i}"
+        shapes.append(_shape(site, found.kind, found.size, at, told))
+    return Side(name, tuple(shapes))
+
+
+def _robot(site: Site) -> Robot:
+    assert site.robot is not None
+    return site.robot
+
+
+def _shape(site: Site, kind: str, size: Any, at: Point, where: str) -> Shape:
+    if kind == "mesh":
+        entry = size if isinstance(size, dict) else {"file": size}
+        mesh: Shape = schema.call(_mesh, entry, where, site, at, where)
+        return mesh
+    entry = size if kind in _BY_KEYS else {"size": size}
+    shape: Shape = schema.call(_SHAPES[kind], entry, where, site, at)
+    return shape
+
+
+def _placed(
+    robot: Robot,
+    *,
+    frame: str | None = None,
+    xyz: Vector = (0.0, 0.0, 0.0),
+    rpy: Vector = (0.0, 0.0, 0.0),
+) -> tuple[str, Point]:
+    frame = _at_rest(robot) if frame is None else frame
+    return frame, robot.point(frame, xyz, rpy)
+
+
+def _at_rest(robot: Robot) -> str:
+    """What the world is called; a link of that name may fly."""
+    return "universe" if robot.model.existFrame(WORLD) else WORLD
+
+
+def _sphere(site: Site, at: Point, size: _NotNegative) -> Shape:
+    return Sphere(at, size)
+
+
+def _points(site: Site, at: Point, size: _Points) -> Shape:
+    if not 1 <= len(size) <= MAX_POINTS:
+        raise ModelError(f"{len(size)} points, accepted are 1 .. {MAX_POINTS}")
+    return Points(at, np.array(size, dtype=np.float64))
+
+
+def _box(site: Site, at: Point, size: _Sides) -> Shape:
+    return Box(at, np.array(size, dtype=np.float64))
+
+
+def _capsule(site: Site, at: Point, radius: _Metres, length: _Metres) -> Shape:
+    return Capsule(at, radius, length)
+
+
+def _cylinder(site: Site, at: Point, radius: _Metres, length: _Metres) -> Shape:
+    return Cylinder(at, radius, length)
+
+
+def _half_space(site: Site, at: Point, size: Vector) -> Shape:
+    check_normal(size)
+    return HalfSpace(plane_of(_robot(site), at, size))
+
+
+def _mesh(
+    site: Site, at: Point, where: str, *, file: str, scale: Vector = (1.0, 1.0, 1.0)
+) -> Shape:
+    from mbd_ros.scene.reading.mesh_file import read_mesh
+
+    return Mesh(at, read_mesh(find_file(site.origin.folder, file, where), scale, where))
+
+
+_SHAPES: Mapping[str, Callable[..., Shape]] = {
+    "sphere": _sphere,
+    "points": _points,
+    "box": _box,
+    "capsule": _capsule,
+    "cylinder": _cylinder,
+    "half_space": _half_space,
+    "mesh": _mesh,
+}
+_BY_KEYS = ("capsule", "cylinder")
 
 
 def build_contacts(site: Site, entries: Any) -> Any:

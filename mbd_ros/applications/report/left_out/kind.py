@@ -11,7 +11,6 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.applications.report.items import Item, Outcome, Section, Spec, Table
-from mbd_ros.applications.report.left_out.operations import operations
 from mbd_ros.applications.report.left_out.probe import LIBRARIES
 from mbd_ros.applications.report.subjects import failures, subjects
 from mbd_ros.core.dynamics.system import evaluation_at
@@ -21,7 +20,52 @@ from mbd_ros.errors import MbdError, ModelError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
+from mbd_ros.scene.runs.compiling import attempted
+from mbd_ros.scene.runs.symbolic_parts import traced
 from mbd_ros.scene.schema.code_permission import is_permitted
+
+# Operations of the equations of a scene, and which of them its parts add.
+
+_PARTS = {"operations_loads": ("forces", "actuators"), "operations_rows": ("constraints",)}
+
+
+def operations(scene: Scene) -> Outcome:
+    """Operations of one evaluation of the accelerations as they are compiled.
+
+    Parts are counted by leaving them out: what a scene does not name adds none.
+
+    Args:
+        scene: The scene.
+
+    Returns:
+        `operations`, of them `operations_loads` and `operations_rows`; or `uncounted`, why not.
+    """
+    try:
+        whole = _count(scene, ())
+    except MbdError as error:
+        return {"uncounted": str(error)[:160]}
+    found: Outcome = {"operations": whole}
+    for key, sections in _PARTS.items():
+        try:
+            found[key] = whole - _count(scene, sections)
+        except MbdError:  # others need these parts
+            continue
+    return found
+
+
+def _count(scene: Scene, without: Sequence[str]) -> int:
+    """Values that accelerations without some sections take.
+
+    Raises:
+        MbdError: There are no such equations.
+    """
+
+    def take() -> int:
+        rest = scene.without(without) if without else scene
+        return int(traced(rest).function("accelerate").n_instructions())
+
+    return attempted(take)
+
 
 _PROBE = "mbd_ros.applications.report.left_out.probe"
 _FAR = 1.0e6  # [rad or m]: a stop that nothing reaches

@@ -1,26 +1,125 @@
 """Files of learning, and the picture of a comparison."""
 
-from collections.abc import Sequence
+import io
+import json
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
+from typing import Any
+from zipfile import BadZipFile
 
-from mbd_ros.core.learned.model_file import check_robot
-from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.identification.identified_scene import write_files
-from mbd_ros.features.identification.learn.comparison import WAYS, compare
-from mbd_ros.features.identification.learn.job import run_learn
-from mbd_ros.features.identification.learn.model_folder import (
-    SCENE,
-    csv,
-    read_folder,
-    write_folder,
+import numpy as np
+import yaml
+
+from mbd_ros.core.learned.model_file import about_of, check_robot
+from mbd_ros.core.state import Array
+from mbd_ros.errors import DataError, ModelError, SceneError
+from mbd_ros.features.identification.identified_scene import (
+    description_of,
+    scene_text,
+    write_files,
 )
-from mbd_ros.features.identification.learn.task import Learned, Task
+from mbd_ros.features.identification.learn.comparison import WAYS, compare
+from mbd_ros.features.identification.learn.correcting import Known
+from mbd_ros.features.identification.learn.job import run_learn
+from mbd_ros.features.identification.learn.scales import Scales
+from mbd_ros.features.identification.learn.task import Learned, Outcome, Task
 from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.lines import Say
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
+
+# The folder of a learned model: the network, its weights, the scene that loads it.
+
+MODEL, WEIGHTS, SCENE = "model.onnx", "weights.npz", "scene.yaml"
+_LARGEST = 256_000_000  # bytes of weights
+
+
+def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: Say) -> None:
+    """Write `model.onnx`, `weights.npz`, `scene.yaml` and tables; all, or none.
+
+    Args:
+        folder: Is made.
+        found: What was learned.
+        more: Other files by name.
+        say: Is told the names.
+
+    Raises:
+        DataError: A place that cannot be written to.
+    """
+    files: dict[str, bytes] = {MODEL: found.content, WEIGHTS: _weights(found.model), **more}
+    try:
+        files["robot.urdf"] = description_of(found.scene).encode()
+        files[SCENE] = _scene(found)
+    except SceneError as error:
+        say(f"no scene.yaml is written: {error}")
+    for name, table in found.tables.items():
+        files[f"{name}.csv"] = csv(table.columns)
+    write_files(folder, files, say)
+
+
+def _scene(found: Outcome) -> bytes:
+    """The scene that the network stands on, with the network."""
+    values: dict[str, Any] = yaml.safe_load(scene_text(found.scene, "robot.urdf"))
+    forces = [*(values.get("forces") or []), {"type": "learned_torque", "model": MODEL}]
+    text: str = yaml.safe_dump({**values, "forces": forces}, sort_keys=False, width=120)
+    return text.encode()
+
+
+def csv(columns: Any) -> bytes:
+    """Comma-separated values with a line of names."""
+    rows = zip(*(column.values.tolist() for column in columns), strict=True)
+    lines = [",".join(column.name for column in columns)]
+    lines += [",".join(x if isinstance(x, str) else repr(x) for x in row) for row in rows]
+    return ("\n".join(lines) + "\n").encode()
+
+
+def _weights(model: Learned) -> bytes:
+    arrays = {f"weight.{key}": value for key, value in model.weights.items()}
+    arrays |= {f"scale.{key}": value for key, value in model.scales._asdict().items()}
+    arrays |= {f"known.{key}": value for key, value in model.known._asdict().items()}
+    arrays |= {"trust": model.trust, "numbers": model.numbers}
+    target = io.BytesIO()
+    np.savez_compressed(target, about=np.array(model.about.text()), **arrays)
+    return target.getvalue()
+
+
+def read_folder(folder: Path) -> Learned:
+    """The model of a folder, to go on from; reading it runs no code.
+
+    Raises:
+        DataError: It is none, of another version, or damaged; names it.
+    """
+    path = folder / WEIGHTS
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise DataError(f"{path}: more than {_LARGEST} bytes")
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (ValueError, EOFError, KeyError, BadZipFile) as error:
+        raise DataError(f"{path}: is damaged, or no file of mbd-ros learn") from error
+    return _learned(path, arrays)
+
+
+def _learned(path: Path, arrays: dict[str, Array]) -> Learned:
+    try:
+        about = about_of(str(path), json.loads(str(arrays["about"])))
+        scales = Scales(*(arrays[f"scale.{key}"] for key in Scales._fields))
+        weights = {
+            key.removeprefix("weight."): value
+            for key, value in arrays.items()
+            if key.startswith("weight.")
+        }
+        known = Known(*(arrays[f"known.{key}"] for key in Known._fields))
+        return Learned(about, scales, weights, arrays["trust"], known, arrays["numbers"])
+    except ModelError as error:
+        raise DataError(str(error)) from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(f"{path}: is no file of mbd-ros learn: {error}") from error
+
 
 _MARKS = ("s", "D", "o", "^", "v")
 

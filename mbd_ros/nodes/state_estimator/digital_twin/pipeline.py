@@ -1,25 +1,69 @@
 """A built scene between messages: the whole of a machine that is measured in few places."""
 
 import math
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.inverse_dynamics.sensed_reactions import FeltReactions
 from mbd_ros.core.model.joints import child_link
 from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.errors import MbdError
 from mbd_ros.features.estimation.cusum import Cusum
 from mbd_ros.features.estimation.determination import Determination, Determinations
+from mbd_ros.features.estimation.estimation import Estimation, made_ready
 from mbd_ros.features.estimation.fault_naming import FaultNaming, Named
 from mbd_ros.features.estimation.tracker import Taken
 from mbd_ros.nodes.shell.parameters import ParameterError
-from mbd_ros.nodes.state_estimator.digital_twin.hypotheses import hypothesis_systems
 from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline, refuse_unknown
+from mbd_ros.scene.built_scene import Scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.wrench import write_wrench
+
+# Faults that may be named, as texts.
+
+_FORM = "<name>: <part>.<argument>=<number>, .."
+
+
+def hypothesis_systems(scene: Scene, found: Estimation, texts: Sequence[str]) -> dict[str, System]:
+    """Name -> the mechanism with other numbers in it.
+
+    Args:
+        scene: As it is thought to be, as it is read.
+        found: What is estimated of it.
+        texts: Of the parameter `hypotheses`.
+
+    Raises:
+        ParameterError: A text of another form, or a number that the scene does not have.
+    """
+    systems = {}
+    for text in texts:
+        name, _, given = text.partition(":")
+        if not name.strip() or not given.strip():
+            raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}")
+        try:
+            changed = scene.with_(_numbers(text, given))
+            systems[name.strip()] = made_ready(changed, found.task, found.disturbed).system()
+        except MbdError as error:
+            raise ParameterError(f"hypotheses: '{text}': {error}") from error
+    return systems
+
+
+def _numbers(text: str, given: str) -> dict[str, float]:
+    numbers = {}
+    for one in given.split(","):
+        key, _, value = one.partition("=")
+        try:
+            numbers[key.strip()] = float(value)
+        except ValueError as error:
+            raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}") from error
+    return numbers
+
 
 _NUMBERS = ("amplification", "multiplier_amplification", "time_to_singular", "is_singular")
 _ALL = "all"

@@ -1,28 +1,212 @@
 """A model of OpenSim -> a robot description and the sections of a scene."""
 
-from collections.abc import Iterable, Mapping
-from typing import Any
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
+import pinocchio as pin
+
+from mbd_ros.errors import SceneError
 from mbd_ros.scene.models.imported import Imported, Unexpressed
 from mbd_ros.scene.models.names import Names
-from mbd_ros.scene.models.osim.constraints import read_constraints
+from mbd_ros.scene.models.osim.constraints import placed, read_constraints
 from mbd_ros.scene.models.osim.contacts import CONTACTS, contact_entries
 from mbd_ros.scene.models.osim.couplers import Coupled, entry_of, read_couplers
 from mbd_ros.scene.models.osim.forces import force_entry
-from mbd_ros.scene.models.osim.frames import GROUND, Frames, bodies_of
+from mbd_ros.scene.models.osim.frames import GROUND, Attached, Frames, bodies_of, six_digits
+from mbd_ros.scene.models.osim.functions import UnknownFunction, function_in
 from mbd_ros.scene.models.osim.item import Item
 from mbd_ros.scene.models.osim.joints import read_joints
-from mbd_ros.scene.models.osim.loops import cut, shared
-from mbd_ros.scene.models.osim.markers import read_markers
-from mbd_ros.scene.models.osim.masses import mass_of
-from mbd_ros.scene.models.osim.mechanism import Mechanism, in_tree_order
-from mbd_ros.scene.models.osim.motions import Coordinate
+from mbd_ros.scene.models.osim.mechanism import Mechanism, in_tree_order, turned_round
+from mbd_ros.scene.models.osim.motions import Coordinate, Joint
 from mbd_ros.scene.models.osim.muscles import is_muscle, muscle_entry
 from mbd_ros.scene.models.osim.paths import read_path
-from mbd_ros.scene.models.osim.prescribed import read_prescribed
 from mbd_ros.scene.models.osim.reading import FORCES, Reading
-from mbd_ros.scene.models.osim.xml_text import parse_osim
 from mbd_ros.scene.models.urdf_text import Mass, urdf_text
+from mbd_ros.scene.models.xml_text import parse_document
+
+# Joints that close loops: a body is cut in two halves that a constraint holds together.
+
+_DIRECT = {"WeldJoint": "full", "BallJoint": "point"}  # which need no second half
+
+
+class Cut(NamedTuple):
+    """Loops that are open.
+
+    Attributes:
+        joints: Joints to the second halves, in the order of the file.
+        halves: Name of a second half -> the body.
+        closures: Name of a joint -> the constraint that closes its loop.
+    """
+
+    joints: list[Joint]
+    halves: dict[str, str]
+    closures: dict[str, dict[str, Any]]
+
+
+def cut(loops: Sequence[Joint], taken: Sequence[str]) -> Cut:
+    """Open loops at the children of the joints that close them.
+
+    Args:
+        loops: The joints.
+        taken: Names that links have.
+    """
+    found, names = Cut([], {}, {}), Names(taken)
+    for given in loops:
+        joint = turned_round(given) if given.child.body == GROUND else given
+        closure: dict[str, Any] = {"type": "loop_closure"}
+        if joint.item.type in _DIRECT:
+            closure["kind"] = _DIRECT[joint.item.type]
+            closure |= placed("a", joint.parent) | placed("b", joint.child)
+        else:
+            half = names.take(f"{joint.child.body}_{joint.name}")
+            found.halves[half] = joint.child.body
+            found.joints.append(joint._replace(child=Attached(half, joint.child.at)))
+            whole, other = (
+                Attached(name, pin.SE3.Identity()) for name in (joint.child.body, half)
+            )
+            closure |= {"kind": "full"} | placed("a", whole) | placed("b", other)
+        found.closures[joint.name] = closure
+    return found
+
+
+def shared(masses: dict[str, Mass], halves: dict[str, str]) -> dict[str, Mass]:
+    """Masses with each body that is cut shared evenly by its parts."""
+    found = dict(masses)
+    for body in set(halves.values()):
+        parts = [body, *(half for half, whole in halves.items() if whole == body)]
+        whole = masses[body]
+        moments = [moment / len(parts) for moment in whole.moments]
+        found |= dict.fromkeys(parts, Mass(whole.mass / len(parts), whole.centre, moments))
+    return found
+
+
+# Coordinates that functions of time prescribe -> constraints `prescribed_motion`.
+
+
+def read_prescribed(
+    reading: Reading, coordinates: Mapping[str, Coordinate], coupled: Iterable[str]
+) -> list[dict[str, Any]]:
+    """The motions of coordinates that do not stand still.
+
+    Args:
+        reading: The model.
+        coordinates: By name.
+        coupled: Those that follow others.
+
+    Raises:
+        SceneError: Names coordinate and what is wrong.
+    """
+    found = []
+    for name, coordinate in coordinates.items():
+        is_free = name in reading.joints and name not in reading.fixed and name not in coupled
+        if is_free and coordinate.item.flag("prescribed"):
+            try:
+                motion = _motion(coordinate.item)
+            except Unexpressed as error:
+                reading.leave_out(coordinate.item, str(error))
+                continue
+            title = reading.names.part(f"{name}_motion", "motion")
+            found.append({"name": title, "type": "prescribed_motion", "joint": name, **motion})
+    return found
+
+
+def _motion(item: Item) -> dict[str, Any]:
+    """The function of time, where `prescribed_motion` has it."""
+    holder = item.find("prescribed_function")
+    try:
+        function = function_in(holder)
+    except UnknownFunction as error:
+        raise Unexpressed(f"is prescribed by a {error}") from error
+    if function.slope is not None:
+        return {"polynomial": [function.offset, function.slope]}
+    if not {"polynomial", "spline", "harmonic"}.isdisjoint(function.entry):
+        return dict(function.entry)
+    raise Unexpressed(f"is prescribed by a function {next(iter(function.entry))}")
+
+
+# Bytes of an .osim file -> its elements, also where strict XML readers refuse them.
+
+SUFFIXES = (".osim", ".osim.gz")
+
+
+def is_osim(path: str | Path) -> bool:
+    """Whether the name of a file is that of a model of OpenSim."""
+    return str(path).lower().endswith(SUFFIXES)
+
+
+def parse_osim(text: str, source: str) -> ElementTree.Element:
+    """The `<Model>` of a document, its version as attribute `version`.
+
+    Raises:
+        SceneError: No XML, no model, or a version that is not known; names line and element.
+    """
+    root = parse_document(text, source)
+    model = root if root.tag == "Model" else root.find("Model")
+    if root.tag not in ("OpenSimDocument", "Model") or model is None:
+        inner = ", ".join(child.tag for child in root) or "nothing"
+        raise SceneError(
+            f"{source}: expected <OpenSimDocument> with <Model>, found <{root.tag}> with {inner}"
+        )
+    model.set("version", _version(root, source))
+    return model
+
+
+def _version(root: ElementTree.Element, source: str) -> str:
+    """Five digits: 10900 .. 49999."""
+    text = root.get("Version", "10900")
+    if not re.fullmatch("[1-4][0-9]{4}", text, re.ASCII):
+        raise SceneError(f"{source}: <OpenSimDocument Version='{text}'>: accepted: 10000 .. 49999")
+    return text
+
+
+# Markers -> the section `sensors`.
+
+
+def read_markers(reading: Reading) -> dict[str, Any]:
+    """The markers of a model by name; `label` is what files of markers call them.
+
+    Raises:
+        SceneError: Names marker and what is wrong.
+    """
+    sensors: dict[str, Any] = {}
+    for item in reading.model.objects("MarkerSet"):
+        frame = reading.attached(item, "parent_frame", "body")
+        name = reading.names.part(item.name, "marker")
+        entry = {
+            "type": "marker",
+            "frame": frame.body,
+            "xyz": frame.point(item.vector("location")),
+        }
+        if name != item.name:
+            entry["label"] = item.name
+        if item.flag("fixed"):
+            entry["fixed"] = True
+        sensors[name] = entry
+    return sensors
+
+
+# Masses and moments of inertia of the bodies of a model.
+
+_MOMENTS = ("xx", "yy", "zz", "xy", "xz", "yz")
+_NONE = (0.0,) * 6
+
+
+def mass_of(body: Item) -> Mass:
+    """Mass of a `<Body>` of any format.
+
+    Raises:
+        SceneError: Names body and element.
+    """
+    if body.find("inertia") is not None:
+        moments = body.vector("inertia", default=_NONE, length=6)
+    else:
+        tags = [f"inertia_{key}" for key in _MOMENTS]  # before 4.0
+        moments = [six_digits(body.number(tag, default=0.0)) for tag in tags]
+    return Mass(body.number("mass", default=0.0), body.vector("mass_center"), moments)
+
 
 _READ = ("Frame", "Station", "Body", "Joint", "Constraint", *FORCES)
 _NO_PLACE = "a scene has no place for it"
