@@ -15,14 +15,14 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.compiled.build.library import load
-from mbd_ros.compiled.code.emit import Signature, emit
+from mbd_ros.compiled.code.emit import emit
+from mbd_ros.compiled.code.source import Signature
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
-from mbd_ros.compiled.runs.native_run import NativeRun, held_inputs
-from mbd_ros.compiled.runs.native_source import Sizes, with_integrators
-from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.simulation.sample_times import sample_times
-from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.compiled.runs.native_run import NativeRun, Sizes, held_inputs, with_integrators
 from mbd_ros.core.state import Array
+from mbd_ros.methods.integration.stepping import Integrator
+from mbd_ros.methods.simulation.sample_blocks import sample_times
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
 

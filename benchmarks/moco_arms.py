@@ -27,8 +27,8 @@ import numpy as np
 import pinocchio as pin
 
 import mbd_ros as mbd
-from mbd_ros.core.paths.sampled_paths import PathBatch
-from mbd_ros.features.prediction.smooth_muscles import with_smooth_muscles
+from mbd_ros.core.kinematics.paths.paths import PathBatch
+from mbd_ros.features.prediction.smooth_scene import with_smooth_muscles
 
 THEIRS = Path(__file__).with_name("moco_arm_problems.py")
 URDF = Path(mbd.__file__).parents[1] / "config/robots/arm7.urdf"

@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros import load_scene
-from mbd_ros.core.muscles.array_numbers import ArrayNumbers
+from mbd_ros.core.muscles.curves import ArrayNumbers
 
 _PEER = """
 import json, math, random, sys

@@ -28,7 +28,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from mbd_ros import load_scene
-from mbd_ros.core.loads.input_sources import Polynomials
+from mbd_ros.core.loads.inputs import Polynomials
 from mbd_ros.core.state import Array
 from mbd_ros.scene.built_scene import Scene
 

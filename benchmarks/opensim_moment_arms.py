@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros import load_scene
-from mbd_ros.core.paths.sampled_paths import PathBatch
+from mbd_ros.core.kinematics.paths.paths import PathBatch
 from mbd_ros.core.state import Array
 from mbd_ros.scene.runs.path_search import QuickestSearch
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 import mbd_ros as mbd
-from mbd_ros.core.control.contract import Control, Controller, EffortBox, Reference, per_joint
+from mbd_ros.methods.control.contract import Control, Controller, EffortBox, Reference, per_joint
 
 
 class Spring(Controller):

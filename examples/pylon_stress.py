@@ -9,8 +9,7 @@ import matplotlib
 import numpy as np
 
 import mbd_ros as mbd
-from mbd_ros.features.loads.fem.mesh import write_mesh
-from mbd_ros.features.loads.fem.solids import tube
+from mbd_ros.features.loads.fem.mesh import tube, write_mesh
 
 matplotlib.use("Agg")
 INNER, OUTER, LENGTH, ANKLE = 0.0125, 0.015, 0.36, -0.40  # m; z of the lower end in the shank

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.features.control.job import follow
 from mbd_ros.features.dirac_brackets.job import bracket
 from mbd_ros.features.estimation.job import estimate
 from mbd_ros.features.gait.job import gait
@@ -19,7 +20,6 @@ from mbd_ros.features.markers.job import kinematics
 from mbd_ros.features.muscles.job import muscles
 from mbd_ros.features.muscles.moment_arms.job import moment_arms
 from mbd_ros.features.prediction.job import predict
-from mbd_ros.features.regulator.job import follow
 from mbd_ros.features.sampling.job import sample
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.formats import read_result as read_result

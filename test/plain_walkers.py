@@ -7,11 +7,11 @@ import math
 
 import numpy as np
 
-from mbd_ros.core.events.event_location import sign_change
-from mbd_ros.core.integration.dop853_tableau import DOP853
-from mbd_ros.core.sensitivities.flow import Segment
 from mbd_ros.core.state import State
 from mbd_ros.errors import FallError
+from mbd_ros.methods.events.crossings import sign_change
+from mbd_ros.methods.integration.dop853_tableau import DOP853
+from mbd_ros.methods.sensitivities.flow import Segment
 
 _A = DOP853.a[: DOP853.stages + 1]
 

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 from mbd_ros.applications.report import items
-from mbd_ros.applications.report.precision.choices import Choice
+from mbd_ros.applications.report.precision.converged import Choice
 from mbd_ros.cli import main
 from mbd_ros.scene.schema.locate import find_file
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from mbd_ros.core.control.tracking_plan import TrackingPlan
+from mbd_ros.methods.control.tracking_plan import TrackingPlan
 
 
 def standing(names):

@@ -4,8 +4,8 @@ import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
-from mbd_ros.compiled.symbols.links import tree_of
 from mbd_ros.compiled.symbols.scalar import column, numbers
+from mbd_ros.compiled.symbols.tree.links import tree_of
 from mbd_ros.core.state import State
 
 

@@ -43,7 +43,7 @@ def test_a_module_that_is_imported_in_addition_is_seen(tmp_path):
     """A clone whose command line imports more modules, foreign ones too."""
     clone = tmp_path / "clone"
     subprocess.run(["git", "clone", "--quiet", str(ROOT), str(clone)], check=True)
-    program = clone / "mbd_ros/features/scenes/check.py"
+    program = clone / "mbd_ros/features/tools/check.py"
     text = program.read_text(encoding="utf-8")
     program.write_text(text + "import mbd_ros.scene.schema.nearest\n", encoding="utf-8")
     words = "HEAD", "--only", "check empty", "--rounds", "1", "--limit", "9"

@@ -9,7 +9,7 @@ import pytest
 from mbd_ros.core.ranges import Gain, Unit, Within, described
 from mbd_ros.errors import ModelError
 from mbd_ros.parts.controllers.sliding_mode import SlidingMode
-from mbd_ros.scene.schema.arguments import arguments, entries
+from mbd_ros.scene.schema.schema import arguments, entries
 
 DOC = """Say something.
 

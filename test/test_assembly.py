@@ -7,9 +7,9 @@ import pytest
 from mechanisms import scene_of
 from scipy.optimize import minimize
 
-from mbd_ros.core.projection.assembly import assemble, project, violation
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.projection.assembly import assemble, project, violation
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"

@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
-from mbd_ros.core.inverse_dynamics.torque_estimator import TorqueEstimator, Tuning
-from mbd_ros.core.signals.causal_low_pass import LowPass
 from mbd_ros.core.state import Motion
 from mbd_ros.errors import DataError
 from mbd_ros.features.inverse_dynamics import streamed
 from mbd_ros.features.inverse_dynamics.job import inverse_to, run_inverse
 from mbd_ros.files.bags.bag import Bag
 from mbd_ros.files.bags.bag_recordings import Wanted, bag_motion
-from mbd_ros.files.bags.bag_rows import Rows
 from mbd_ros.files.bags.bag_types import TYPES, to_cdr
+from mbd_ros.files.bags.bag_writer import Rows
 from mbd_ros.files.bags.bags import BagWriter, messages, new_message, raw_messages
-from mbd_ros.motion.causal import observe
+from mbd_ros.methods.inverse_dynamics.torque_estimator import TorqueEstimator, Tuning
+from mbd_ros.methods.signals.differentiation import LowPass
 from mbd_ros.motion.derivatives import Derivatives
+from mbd_ros.motion.filters import observe
 from mbd_ros.motion.samples import Task
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
@@ -237,7 +237,7 @@ def both_ways(path, out, scene="arm7", source="causal", parts=False):
 @pytest.mark.parametrize("source", ["causal", "zero-phase"])
 @pytest.mark.parametrize("kind", KINDS)
 def test_torques_piece_by_piece_are_those_of_the_whole(bags, tmp_path, monkeypatch, kind, source):
-    monkeypatch.setattr("mbd_ros.files.bags.motion_blocks._LEAST", 1000)
+    monkeypatch.setattr("mbd_ros.files.bags.bag_recordings._LEAST", 1000)
     found, lines, whole, whole_lines = both_ways(bags(kind), tmp_path / "out", source=source)
     assert lines == whole_lines and found.metadata == whole.metadata
     ours, theirs = found["samples"], whole["samples"]
@@ -250,7 +250,7 @@ def test_torques_piece_by_piece_are_those_of_the_whole(bags, tmp_path, monkeypat
 
 
 def test_couplings_and_parts_are_said_piece_by_piece_too(tmp_path, monkeypatch):
-    monkeypatch.setattr("mbd_ros.files.bags.motion_blocks._LEAST", 1000)
+    monkeypatch.setattr("mbd_ros.files.bags.bag_recordings._LEAST", 1000)
     scene = load_scene(SCENES / "prosthetic_arm.yaml")
     names = TorqueEstimator(scene.robot, scene.inverse_dynamics(), Tuning()).names
     named = (*names, *JOINTS)[:7]

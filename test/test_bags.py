@@ -11,8 +11,8 @@ import pytest
 import yaml
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags.bag_blocks import raw_blocks
-from mbd_ros.files.bags.bag_rows import Rows
+from mbd_ros.files.bags.bag_recordings import raw_blocks
+from mbd_ros.files.bags.bag_writer import Rows
 from mbd_ros.files.bags.bags import BagWriter, messages, new_message, raw_messages, topic_types
 from msg_adapters.joint_state import write_joint_state
 

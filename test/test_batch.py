@@ -10,7 +10,7 @@ from mbd_ros.api import load_scene
 from mbd_ros.compiled.runs import lane_method
 from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.parts.actuators.series_elastic_drive import SeriesElasticDrive
-from mbd_ros.scene.runs.batch_runs import Starts
+from mbd_ros.scene.runs.batch import Starts
 
 SWING = "package://mbd_ros/config/scenes/benchmark/arm7_swing.yaml"
 LOOPS = "package://mbd_ros/config/scenes/benchmark/a02_four_bars_2.yaml"

@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad, solve_ivp
 
 from mbd_ros import load_scene, scene_from
-from mbd_ros.core.kinematics.free_bases import world_pose
+from mbd_ros.core.kinematics.poses import world_pose
 from mbd_ros.errors import SceneError, SolveError
 
 SATELLITE = """<robot name="satellite">

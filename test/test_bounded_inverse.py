@@ -8,16 +8,16 @@ from scipy.optimize import lsq_linear
 
 from mbd_ros import api
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse_dynamics.efforts import Efforts, input_efforts, joint_efforts
 from mbd_ros.core.loads.inputs import bound
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.multiplier_laws import box, cone, unilateral
-from mbd_ros.core.optimization.least_norm_in_bounds import least_in_bounds
+from mbd_ros.core.optimization.least_norm import least_in_bounds
+from mbd_ros.core.rows.constraint import box, cone, unilateral
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.methods.inverse_dynamics.efforts import Efforts, input_efforts, joint_efforts
 from mbd_ros.parts.actuators.geared_motor import GearedMotor
 from mbd_ros.parts.actuators.series_elastic import SeriesElastic
 from mbd_ros.parts.constraints.dry_friction import DryFriction

@@ -9,21 +9,18 @@ import pytest
 from mechanisms import scene_of
 
 from mbd_ros.core.complementarity.bounded_rows import BoundedRows
-from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
-from mbd_ros.core.dynamics.mechanism import Mechanism
-from mbd_ros.core.dynamics.rigid_rows import RigidRows
+from mbd_ros.core.dynamics.mechanism import Mechanism, RigidRows
+from mbd_ros.core.dynamics.open_chain import Aba
 from mbd_ros.core.dynamics.tiers import build_system, tier_of
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.coupling_functions import Linear
-from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.couplings import Coupling, Couplings, Linear
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.optimization.box_qp import complementarity_residual
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.rows.row_layout import RowLayout
-from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
 from mbd_ros.core.state import State
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.parts.integrators.rk4 import Rk4
 from mbd_ros.parts.stabilization.none import NoStabilization
 from mbd_ros.scene.reading.part_entries import build_part

@@ -9,10 +9,9 @@ import pytest
 from mbd_ros.errors import DataError
 from mbd_ros.features.markers.job import turned
 from mbd_ros.files.formats import read_result
-from mbd_ros.files.markers import read_markers
+from mbd_ros.files.recording import read_markers
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.motion.marker_recording import read_capture
-from mbd_ros.motion.recordings import read_wrenches
+from mbd_ros.motion.recordings import read_capture, read_wrenches
 
 CORNERS = np.array([[0.5, 0.9, 0.0], [0.1, 0.9, 0.0], [0.1, 0.3, 0.0], [0.5, 0.3, 0.0]])  # m
 TURN = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])  # of a plate, about z

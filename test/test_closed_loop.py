@@ -9,16 +9,16 @@ from mechanisms import floating_body, four_bar, four_bar_closure
 from test_inverse_dynamics import ARM, CHAIN
 
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse_dynamics.efforts import joint_efforts
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.loads.external_wrench import ExternalWrench
+from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.methods.inverse_dynamics.efforts import joint_efforts
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.parts.actuators.ideal import Ideal
 from mbd_ros.parts.constraints.frame_anchor import FrameAnchor
 from mbd_ros.parts.constraints.loop_closure import LoopClosure

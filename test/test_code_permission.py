@@ -18,7 +18,7 @@ URDF = Path(__file__).parents[1] / "config/robots/arm7.urdf"
 TOLD = """
 from pathlib import Path
 import numpy as np
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 Path(__file__).with_suffix(".ran").touch()
 class Push(Load):
     def __init__(self, robot):

@@ -12,10 +12,10 @@ from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.runs.compiled_system import CompiledSystem
 from mbd_ros.compiled.runs.implicit_method import verify_slopes
 from mbd_ros.compiled.symbols.trace import trace
-from mbd_ros.core.dynamics.residual_force import Balance
-from mbd_ros.core.integration.newton import converge
+from mbd_ros.core.dynamics.linearization import Balance
 from mbd_ros.errors import ModelError
-from mbd_ros.scene.runs.compiled_system import compiled_system
+from mbd_ros.methods.integration.newton import converge
+from mbd_ros.scene.runs.compiling import compiled_system
 
 DRIVE = {
     "type": "series_elastic_drive", "joint": "knee", "stiffness": 300.0, "rotor_inertia": 1e-4,

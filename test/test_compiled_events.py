@@ -7,7 +7,7 @@ import pytest
 
 from mbd_ros.api import load_scene
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
-from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.parts.integrators.adams import Adams
 from mbd_ros.parts.integrators.dop853 import Dop853
 from mbd_ros.parts.integrators.rk4 import Rk4

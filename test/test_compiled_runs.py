@@ -9,8 +9,8 @@ import pytest
 from mbd_ros.api import load_scene
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.loads.input_sources import HeldTable, LinearTable, Polynomials
-from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.loads.inputs import HeldTable, LinearTable, Polynomials
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.parts.integrators.adams import Adams
 from mbd_ros.parts.integrators.dop853 import Dop853
 from mbd_ros.parts.integrators.dopri5 import Dopri5

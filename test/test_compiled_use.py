@@ -12,11 +12,10 @@ from mechanisms import scene_of
 import mbd_ros.compiled
 from mbd_ros.api import load_scene
 from mbd_ros.cli import main
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.errors import BAD_INPUT, SceneError
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.tables.csv import read_table
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 
 ROOT = Path(__file__).parents[1]
 SCENES = sorted(path.stem for path in (ROOT / "config/scenes").glob("*.yaml"))

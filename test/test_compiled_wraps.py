@@ -9,12 +9,12 @@ from test_wrapping import POINTS, WRAPS, swing
 import mbd_ros as mbd
 from mbd_ros.compiled.build.library import load
 from mbd_ros.compiled.build.verify import plain_rates, some_inputs, some_state
-from mbd_ros.compiled.code.searches import SEARCH, emitted
+from mbd_ros.compiled.code.emit import SEARCH, emitted
 from mbd_ros.compiled.runs.implicit_method import compiled_system
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.paths.sampled_paths import PathBatch
+from mbd_ros.core.kinematics.paths.paths import PathBatch
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.runs.path_search import QuickestSearch
 

@@ -7,11 +7,11 @@ from mechanisms import joint, link, urdf
 from scipy.optimize import root
 from test_velocity_level import system_of
 
-from mbd_ros.core.complementarity.cone_contact import cone_contact
+from mbd_ros.core.complementarity.contact_cone import cone_contact
 from mbd_ros.core.geometry.shapes import Between, HalfSpace, Side, Sphere
-from mbd_ros.core.impacts.impact_map import VelocityLevel
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.rows.pair_rows import plane_of
+from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
+from mbd_ros.core.rows.frame_rows import plane_of
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 from mbd_ros.parts.contacts.rigid import Rigid

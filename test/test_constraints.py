@@ -8,17 +8,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.model.coupling_functions import Linear, Polynomial
-from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.couplings import Coupling, Couplings, Linear, Polynomial
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.multiplier_laws import Level, box, drive, unilateral
-from mbd_ros.core.rows.constraint import Row
+from mbd_ros.core.rows.constraint import Level, Row, box, drive, unilateral
 from mbd_ros.core.rows.coupling_rows import CouplingRows
-from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation
+from mbd_ros.core.rows.frame_rows import AxisRotation, FullRotation
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.parts.constraints.distance import Distance
 from mbd_ros.parts.constraints.dry_friction import DryFriction
 from mbd_ros.parts.constraints.frame_anchor import FrameAnchor

@@ -9,8 +9,8 @@ from test_cone_contact import FRICTIONS, touch_down
 from test_velocity_level import consistent, inertia, keeps, robot_of, system_of
 
 import mbd_ros as mbd
-from mbd_ros.core.impacts.impact_map import Impact, VelocityLevel
 from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.nonsmooth.impact_map import Impact, VelocityLevel
 from mbd_ros.core.state import State
 from mbd_ros.parts.constraints.joint_stop import JointStop
 

@@ -5,7 +5,7 @@ import pytest
 from mechanisms import chain, four_bar, four_bar_closure, scene_of
 
 from mbd_ros.errors import MbdError, SceneError, SolveError
-from mbd_ros.scene.describe.part_lines import part_lines
+from mbd_ros.scene.describe.check import part_lines
 
 BODIES = """
 bodies:

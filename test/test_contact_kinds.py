@@ -7,7 +7,7 @@ import pytest
 from mechanisms import floating_body, four_bar, four_bar_closure, joint, link, scene_of, urdf
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.memory import is_same
+from mbd_ros.core.state import is_same
 
 FINGERS = urdf(
     *(link("world"), link("a", 1.0, (0, 0, 0), (0.1, 0.1, 0.1))),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.core.complementarity.contact_problem import ContactProblem
-from mbd_ros.core.rows.row_layout import Cone
+from mbd_ros.core.rows.constraint_rows import Cone
 from mbd_ros.errors import SolveError
 
 CORNERS = np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])

@@ -7,13 +7,17 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from mbd_ros.applications.report.contact import closed_forms, kind, ours
+from mbd_ros.applications.report.contact import kind, ours
+from mbd_ros.applications.report.contact import problems as closed_forms
 from mbd_ros.applications.report.contact.kind import compose
-from mbd_ros.applications.report.contact.problem import Trace, penetration
-from mbd_ros.applications.report.contact.problems import problems
-from mbd_ros.applications.report.contact.soft_bounce import damping_ratio
+from mbd_ros.applications.report.contact.problems import (
+    Trace,
+    damping_ratio,
+    penetration,
+    problems,
+)
 from mbd_ros.applications.report.peers.contenders import in_turn
-from mbd_ros.applications.report.precision.choices import Choice
+from mbd_ros.applications.report.precision.converged import Choice
 
 GRAVITY = 9.81
 PROBLEMS = {problem.name: problem for problem in problems(quick=False)}

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.simulation.shown_accelerations import seen_at
+from mbd_ros.methods.simulation.simulation import seen_at
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"

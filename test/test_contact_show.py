@@ -5,13 +5,13 @@ import pytest
 from rclpy.validate_full_topic_name import validate_full_topic_name
 
 import mbd_ros as mbd
-from mbd_ros.core.contracts.outputs import Kind
+from mbd_ros.core.contracts import Kind
 from mbd_ros.core.dynamics.output_values import Showing
 from mbd_ros.core.geometry.contact_outputs import OPEN, SLIP, STICK
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
-from mbd_ros.core.rows.row_layout import RowLayout
-from mbd_ros.core.simulation.divergence import last_finite
+from mbd_ros.core.rows.constraint_rows import RowLayout
 from mbd_ros.core.state import State
+from mbd_ros.methods.simulation.checked_steps import last_finite
 from mbd_ros.nodes.shell.contact_topics import topic_of
 
 G, MASS = 9.81, 3.0

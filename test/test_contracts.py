@@ -7,23 +7,20 @@ import numpy as np
 import pytest
 from standing_plan import standing
 
-from mbd_ros.core.contracts.parts import Actuator, Load, Part
-from mbd_ros.core.contracts.sensor import Sensor
-from mbd_ros.core.control.contract import ControlledJoints, Controller
+from mbd_ros.core.contracts import Actuator, Load, Part, Sensor
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.estimation.estimator import Estimator
-from mbd_ros.core.estimation.process import LinearProcess
-from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.multiplier_laws import Level
 from mbd_ros.core.muscles.muscle import Muscle
-from mbd_ros.core.projection.stabilization import Stabilization
-from mbd_ros.core.rows.constraint import Constraint
+from mbd_ros.core.rows.constraint import Constraint, Level
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
+from mbd_ros.methods.control.contract import ControlledJoints, Controller
+from mbd_ros.methods.estimation.process import Estimator, LinearProcess
+from mbd_ros.methods.integration.stepping import Integrator
+from mbd_ros.methods.projection.assembly import Stabilization
 from mbd_ros.scene.reading.building import Origin, Site
 from mbd_ros.scene.reading.contact_entries import with_shapes
 from mbd_ros.scene.reading.learned_entries import with_files

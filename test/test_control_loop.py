@@ -5,19 +5,16 @@ import pytest
 from mechanisms import chain, double_pendulum
 from systems import free_system
 
-from mbd_ros.core.control.contract import Control, ControlledJoints, Controller, EffortBox
-from mbd_ros.core.model.coupling_functions import Linear, Polynomial
-from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.couplings import Coupling, Couplings, Linear, Polynomial
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
-from mbd_ros.features.control.chatter import ChatterMeter
-from mbd_ros.features.control.command_guard import Guard
-from mbd_ros.features.control.control_loop import ControlLoop
-from mbd_ros.features.control.reference_generator import ReferenceGenerator
-from mbd_ros.features.control.reference_limits import TargetError
-from mbd_ros.features.control.reference_map import ReferenceMap
+from mbd_ros.features.control.control_loop import ControlLoop, Guard
+from mbd_ros.features.control.loop_watch import ChatterMeter
+from mbd_ros.features.control.reference import ReferenceGenerator, ReferenceMap
+from mbd_ros.features.control.trajectory import TargetError
+from mbd_ros.methods.control.contract import Control, ControlledJoints, Controller, EffortBox
+from mbd_ros.methods.simulation.live_simulation import SafeCommand
 
 NAMES = ["joint_1", "joint_2"]
 DT = 1e-3

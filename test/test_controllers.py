@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from mechanisms import scene_of
 
-from mbd_ros.core.control.contract import EffortBox, Reference, Response, per_joint
-from mbd_ros.core.control.mobility_factor import MobilityFactor
-from mbd_ros.core.control.sliding import mismatch, sliding_variable
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.methods.control.contract import EffortBox, Reference, Response, per_joint
+from mbd_ros.methods.control.efforts import MobilityFactor
+from mbd_ros.methods.control.sliding_mode import mismatch, sliding_variable
 from mbd_ros.parts.forces.joint_torque import JointTorque
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import resolve

@@ -6,15 +6,16 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline, PPoly
 
-from mbd_ros.core.model.coupling_functions import (
+from mbd_ros.core.model.couplings import (
+    Coupling,
+    Couplings,
     Harmonic,
     PiecewisePolynomial,
     Polynomial,
     natural_cubic_spline,
+    simm_spline,
 )
-from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.model.simm_spline import simm_spline
 from mbd_ros.errors import ModelError
 
 ARM = (Path(__file__).parents[1] / "config/robots/arm7.urdf").read_text(encoding="utf-8")

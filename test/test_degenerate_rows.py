@@ -5,16 +5,16 @@ import pytest
 from systems import acceleration
 
 from mbd_ros import scene_from
-from mbd_ros.applications.report.stability.extreme_scenes import mechanism, rods
 from mbd_ros.applications.report.stability.oracle import Oracle
-from mbd_ros.core.integration.linear_motion import fastest_rate
+from mbd_ros.applications.report.stability.scenes import mechanism, rods
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.optimization.box_qp import complementarity_residual
-from mbd_ros.core.projection.assembly import assemble, project, violation
-from mbd_ros.core.rows.row_factor import RowFactor
+from mbd_ros.core.rows.delassus import RowFactor
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.integration.linear_motion import fastest_rate
+from mbd_ros.methods.projection.assembly import assemble, project, violation
 
 STOP = {"type": "joint_stop", "joint": "j0", "upper": 0.1, "smoothed": True}
 FRICTION = {"type": "dry_friction", "joint": "j1", "limit": 0.1, "smoothed": True}

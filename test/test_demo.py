@@ -9,27 +9,26 @@ import pinocchio as pin
 import pytest
 import yaml
 
-from mbd_ros.applications.demo import topics
-from mbd_ros.applications.demo.choices import LAWS, ROBOTS
+from mbd_ros.applications.demo import loop
 from mbd_ros.applications.demo.files import (
     MASS_SCALE,
     MODEL,
     PLANT,
     RATE,
+    replacing_folder,
     write_gains,
     write_scenes,
 )
-from mbd_ros.applications.demo.folder import replacing_folder
 from mbd_ros.applications.demo.page import Content, page
 from mbd_ros.applications.demo.summary import Table, lines
-from mbd_ros.applications.demo.task import disturbance, trajectory
+from mbd_ros.applications.demo.task import LAWS, ROBOTS, disturbance, trajectory
 from mbd_ros.cli import main
-from mbd_ros.core.control.contract import Reference
-from mbd_ros.core.control.sliding import mismatch, sliding_variable
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.projection.observed_state import ObservedState
 from mbd_ros.core.state import NONE
 from mbd_ros.errors import DataError
+from mbd_ros.methods.control.contract import Reference
+from mbd_ros.methods.control.sliding_mode import mismatch, sliding_variable
+from mbd_ros.methods.projection.state_projection import ObservedState
 from mbd_ros.scene.reader import load_scene
 
 CONFIG = Path(__file__).parents[1] / "config"
@@ -174,19 +173,19 @@ def test_layouts_name_topics_of_the_demo():
     shown = rviz["Visualization Manager"]["Displays"]
     kinds = [display["Class"].rpartition("/")[2] for display in shown]
     assert kinds == ["Grid", "RobotModel", "TF", "MarkerArray"]
-    assert shown[3]["Topic"]["Value"] == f"{topics.SIMULATOR}/markers"
+    assert shown[3]["Topic"]["Value"] == f"{loop.SIMULATOR}/markers"
     contact = yaml.safe_load((CONFIG / "rviz/contact.rviz").read_text(encoding="utf-8"))
     *first, body = contact["Visualization Manager"]["Displays"]
     assert [display["Class"].rpartition("/")[2] for display in first] == kinds
-    assert first[3]["Topic"]["Value"] == f"{topics.SIMULATOR}/markers"
+    assert first[3]["Topic"]["Value"] == f"{loop.SIMULATOR}/markers"
     assert body["Topic"]["Value"] == "/box/odometry"
     joints = load_scene(ROBOTS["arm"].scene).actuated
     layout = ElementTree.parse(CONFIG / "plotjuggler/demo.xml")
     curves = [curve.get("name") for curve in layout.iter("curve")]
-    own, torques = topics.loop_state("/sliding_mode_controller"), topics.TORQUES
+    own, torques = loop.loop_state("/sliding_mode_controller"), loop.TORQUES
     for i, joint in enumerate(joints):
         wanted = {f"{own}/{joint}/position", f"{own}/{joint}/velocity"}
-        wanted |= {f"{topics.COMMANDS}/data[{i}]", f"{torques}/{joint}/effort"}
+        wanted |= {f"{loop.COMMANDS}/data[{i}]", f"{torques}/{joint}/effort"}
         assert wanted <= set(curves)
     assert len(curves) == 4 * len(joints)
 

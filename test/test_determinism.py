@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.memory import is_same
-from mbd_ros.core.simulation.checkpoint import Checkpoint
+from mbd_ros.core.state import is_same
 from mbd_ros.core.thresholds import ON_MANIFOLD
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.methods.simulation.sample_blocks import Checkpoint
 from mbd_ros.scene.reader import load_scene
 
 sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))

@@ -6,10 +6,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from mbd_ros.core.signals.causal_low_pass import LowPass
-from mbd_ros.core.signals.differentiation import CausalDifferentiator, SampleStatus
-from mbd_ros.core.signals.local_polynomials import local_polynomials
 from mbd_ros.errors import DataError
+from mbd_ros.methods.signals.differentiation import (
+    CausalDifferentiator,
+    LowPass,
+    SampleStatus,
+    local_polynomials,
+)
 
 SECOND, MS = 1_000_000_000, 1_000_000
 NAN = np.array([np.nan])

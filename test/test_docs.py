@@ -13,10 +13,10 @@ import pytest
 from PIL import Image
 from scipy.integrate import simpson
 
-from mbd_ros.applications.report.readme import BEGIN, END
+from mbd_ros.applications.report.compose import BEGIN, END
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.features.completion.words import all_words
+from mbd_ros.features.tools.completion_scripts import all_words
 from mbd_ros.files import formats
 from mbd_ros.files.table import Column, Result, Table
 

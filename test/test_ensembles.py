@@ -4,14 +4,13 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.features.sampling.averages import average
 from mbd_ros.features.sampling.chains import usual_step
-from mbd_ros.features.sampling.counting import degrees_of_freedom, kinetic_after_step
-from mbd_ros.features.sampling.ensemble import Ensemble
+from mbd_ros.features.sampling.components import stream
+from mbd_ros.features.sampling.ensemble import Ensemble, degrees_of_freedom, kinetic_after_step
 from mbd_ros.features.sampling.joint_space import JointSpace
 from mbd_ros.features.sampling.manifold import Manifold
+from mbd_ros.features.sampling.mean_force import average
 from mbd_ros.features.sampling.particle_space import ParticleSpace
-from mbd_ros.features.sampling.random_streams import stream
 
 # W. Kramers 1946, M. Fixman 1974: cosine of the angle of two rigid bonds, equal masses
 BINS = np.array([0.0932920940352883, 0.0978707090754773, 0.1011681956478589, 0.1033078423119392])

@@ -7,17 +7,16 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros import load_scene, scene_from
-from mbd_ros.core.estimation.estimator import Measurement
-from mbd_ros.core.estimation.horizon_chain import HorizonChain
-from mbd_ros.core.estimation.horizon_window import HorizonProgram
-from mbd_ros.core.estimation.smoother import lagged
 from mbd_ros.errors import DataError, SceneError
 from mbd_ros.features.estimation.estimation import estimation_of, made_ready
-from mbd_ros.features.estimation.lag_window import LagWindow
 from mbd_ros.features.estimation.mechanism_process import MechanismProcess
 from mbd_ros.features.estimation.task import EstimateTask
-from mbd_ros.features.estimation.tracker import Taken, Tracker
+from mbd_ros.features.estimation.tracker import LagWindow, Taken, Tracker
 from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.methods.estimation.horizon_chain import HorizonChain
+from mbd_ros.methods.estimation.horizon_window import HorizonProgram
+from mbd_ros.methods.estimation.kalman_filter import lagged
+from mbd_ros.methods.estimation.process import Measurement
 from mbd_ros.parts.estimators.extended_kalman import ExtendedKalman
 from mbd_ros.parts.estimators.moving_horizon import MovingHorizon
 

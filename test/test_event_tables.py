@@ -9,9 +9,8 @@ from row_systems import joint, link
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.formats import read_result
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 
 G, HEIGHT, MASS, E = 9.81, 0.5, 2.0, 0.6
 FALL = math.sqrt(2.0 * HEIGHT / G)

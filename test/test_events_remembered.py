@@ -7,7 +7,7 @@ import pytest
 from row_systems import joint, link
 
 import mbd_ros as mbd
-from mbd_ros.core.memory import is_same
+from mbd_ros.core.state import is_same
 
 ARM = "".join(
     (

@@ -7,8 +7,8 @@ import yaml
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
+from mbd_ros.features.identification.excite.excitation import Fourier
 from mbd_ros.features.identification.excite.job import excite
-from mbd_ros.features.identification.fourier import Fourier
 from mbd_ros.files.bags.bag_types import from_cdr
 from mbd_ros.files.bags.bags import raw_messages, topic_types
 from mbd_ros.scene.from_python import scene_from

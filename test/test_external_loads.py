@@ -12,11 +12,11 @@ from scipy.interpolate import CubicSpline
 
 from mbd_ros import read_result, scene_from
 from mbd_ros.cli import main
-from mbd_ros.core.signals.opensim_splines import opensim_splines
 from mbd_ros.errors import DataError
 from mbd_ros.files.laboratory.external_loads import read_external_loads
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.files.tables.csv import read_table
+from mbd_ros.methods.signals.opensim_splines import opensim_splines
 
 LOADS = """<?xml version="1.0" encoding="UTF-8" ?>
 <OpenSimDocument Version="40000"><ExternalLoads name="grf"><objects>

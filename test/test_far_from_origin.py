@@ -12,9 +12,9 @@ from systems import free_system
 
 from mbd_ros.applications.report.stability.scene_text import joint, link, robot
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.projection.assembly import assemble
-from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
+from mbd_ros.methods.projection.assembly import assemble
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.parts.integrators.dop853 import Dop853
 from mbd_ros.parts.stabilization.none import NoStabilization
 from mbd_ros.scene.from_python import scene_from

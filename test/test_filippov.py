@@ -10,12 +10,12 @@ import pytest
 from mechanisms import scene_of
 
 from mbd_ros.cli import main
-from mbd_ros.core.events.event_location import sign_change
-from mbd_ros.core.events.surface_modes import equivalent_signs, mode_on
-from mbd_ros.core.loads.input_sources import Sampled
+from mbd_ros.core.loads.inputs import Sampled
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError, SolveError
 from mbd_ros.files.tables.csv import read_table
+from mbd_ros.methods.events.crossings import sign_change
+from mbd_ros.methods.events.mode_field import equivalent_signs, mode_on
 from mbd_ros.parts.forces.switching_force import SwitchingForce
 from mbd_ros.parts.integrators.filippov import Filippov
 from mbd_ros.scene.reader import load_scene

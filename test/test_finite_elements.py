@@ -12,12 +12,10 @@ from test_loads import RATE, ROD, spin
 import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.features.loads.fem.centre_field import centre_field
 from mbd_ros.features.loads.fem.elements import KINDS, mass_of, nodal_forces
 from mbd_ros.features.loads.fem.finite_elements import MeshTask, body_of, write_body
-from mbd_ros.features.loads.fem.mesh import read_mesh, write_mesh
-from mbd_ros.features.loads.fem.solids import box, cylinder, tube
-from mbd_ros.features.loads.fem.units import SYSTEMS
+from mbd_ros.features.loads.fem.mesh import SYSTEMS, box, cylinder, read_mesh, tube, write_mesh
+from mbd_ros.features.loads.fem.model import centre_field
 from mbd_ros.features.loads.job import LoadsTask, run_loads
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.motion.samples import Task

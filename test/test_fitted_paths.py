@@ -9,8 +9,7 @@ from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.kinematics.sampled_kinematics import SampledKinematics, carriers
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
-from mbd_ros.features.prediction.fitted_paths import with_fitted_paths
-from mbd_ros.features.prediction.smooth_muscles import with_smooth_muscles
+from mbd_ros.features.prediction.smooth_scene import with_fitted_paths, with_smooth_muscles
 from mbd_ros.scene.reading.path_entries import path_of
 
 ARM = mbd.load_scene("smooth_muscle_arm").robot

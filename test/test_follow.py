@@ -10,14 +10,13 @@ from scipy.linalg import solve_continuous_are
 
 from mbd_ros import load_scene
 from mbd_ros.cli import main
-from mbd_ros.core.control.contract import EffortBox, Reference
-from mbd_ros.core.control.independent_slopes import IndependentSlopes
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.regulator.regulator import recorded
-from mbd_ros.features.regulator.riccati import riccati_backwards, riccati_steady
-from mbd_ros.files.plans import read_plan
+from mbd_ros.features.control.regulator import recorded, riccati_backwards, riccati_steady
+from mbd_ros.files.recording import read_plan
 from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.methods.control.contract import EffortBox, Reference
+from mbd_ros.methods.control.tracking_plan import IndependentSlopes
 from mbd_ros.parts.controllers.trajectory_tracking import TrajectoryTracking
 
 

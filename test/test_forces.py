@@ -7,13 +7,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
-from mbd_ros.core.model.coupling_functions import Polynomial
-from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.couplings import Coupling, Couplings, Polynomial
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.parts.forces.applied_wrench import AppliedWrench
 from mbd_ros.parts.forces.gear_friction import GearFriction
 from mbd_ros.parts.forces.gravity_compensation import GravityCompensation

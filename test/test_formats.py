@@ -140,7 +140,7 @@ MULTI = "std_msgs/msg/Float64MultiArray"
 
 
 def test_times_of_today_keep_their_nanoseconds(tmp_path):
-    from mbd_ros.files.times import stamps_of, time_columns
+    from mbd_ros.files.table import stamps_of, time_columns
 
     stamps = 1_763_800_000_000_000_001 + 1_000_003 * np.arange(9)
     table = Table([*time_columns(stamps), Column("a.position", np.zeros(9), "rad")])

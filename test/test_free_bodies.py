@@ -17,7 +17,7 @@ from mbd_ros.features.inverse_dynamics.job import inverse
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.bags.bags import BagWriter, messages, topic_types
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.nodes.inverse_dynamics.whole_samples import MOST, WholeSamples
+from mbd_ros.nodes.inverse_dynamics.pipeline import MOST, WholeSamples
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state_cdr import JointStateCdrWriter

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from identification_data import moved
 
-from mbd_ros.features.identification.band import Filter, grid_step
 from mbd_ros.features.identification.problem import Problem
 from mbd_ros.features.identification.regression import Search, learn
+from mbd_ros.features.identification.samples import Filter, grid_step
 from mbd_ros.features.identification.task import Task
 from mbd_ros.scene.from_python import scene_from
 

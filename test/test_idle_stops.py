@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.memory import is_same
-from mbd_ros.core.state import State
+from mbd_ros.core.state import State, is_same
 
 WIDE = {"type": "joint_stop", "joints": ["all"], "lower": -50.0, "upper": 50.0}
 START = np.random.default_rng(2).uniform(-0.5, 0.5, (2, 7))

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from mbd_ros.applications.report.stability.extreme_scenes import mechanism, rods
-from mbd_ros.core.integration.linear_motion import LinearMotion
+from mbd_ros.applications.report.stability.scenes import mechanism, rods
 from mbd_ros.errors import DivergedError, SceneError
+from mbd_ros.methods.integration.linear_motion import LinearMotion
 from mbd_ros.parts.integrators.semi_implicit_euler import SemiImplicitEuler
 from mbd_ros.scene.from_python import scene_from
 

@@ -26,13 +26,13 @@ from row_systems import (
 )
 from systems import free_system
 
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.integration.newton import FAILED, converge
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError
+from mbd_ros.methods.integration.newton import FAILED, converge
 from mbd_ros.parts.constraints.joint_stop import JointStop
 from mbd_ros.parts.integrators.gauss_legendre import GaussLegendre
 from mbd_ros.parts.integrators.generalized_alpha import GeneralizedAlpha

@@ -7,9 +7,9 @@ import pytest
 from mechanisms import scene_of
 
 from mbd_ros.api import Scene
-from mbd_ros.core.contracts.parts import Actuator, Channel
+from mbd_ros.core.contracts import Actuator, Channel
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.loads.input_sources import HeldTable, LinearTable, Polynomials, Sampled
+from mbd_ros.core.loads.inputs import HeldTable, LinearTable, Polynomials, Sampled
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.files.table import Column, Result, Table

@@ -11,13 +11,13 @@ from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 from systems import acceleration, free_system
 
-from mbd_ros.core.contracts.parts import Actuator, Channel
+from mbd_ros.core.contracts import Actuator, Channel
 from mbd_ros.core.dynamics.chart import Chart
-from mbd_ros.core.integration.dop853_tableau import DOP853
-from mbd_ros.core.integration.tableau import RK4
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError
+from mbd_ros.methods.integration.dop853_tableau import DOP853
+from mbd_ros.methods.integration.runge_kutta import RK4
 from mbd_ros.parts.integrators.adams import Adams
 from mbd_ros.parts.integrators.dop853 import Dop853
 from mbd_ros.parts.integrators.dopri5 import _TABLEAU as DOPRI5

@@ -9,21 +9,19 @@ import pytest
 from scipy.integrate import simpson, solve_ivp
 from symbolic_numbers import Symbols
 
-from mbd_ros.core.contracts.parts import Actuator, Channel, Internal, Load, Part
-from mbd_ros.core.integration.nystrom_stages import NystromStages
-from mbd_ros.core.integration.runge_kutta import RungeKutta
+from mbd_ros.core.contracts import Actuator, Channel, Internal, Load, Part
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.loads.input_sources import HeldTable
+from mbd_ros.core.loads.inputs import HeldTable
 from mbd_ros.core.loads.internal_states import Internals
-from mbd_ros.core.multiplier_laws import box
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
-from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.core.simulation.stall import WINDOW, StallWatch
+from mbd_ros.core.rows.constraint import box
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError, SceneError, SolveError
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.table import Result, Table
+from mbd_ros.methods.integration.runge_kutta import NystromStages, RungeKutta
+from mbd_ros.methods.simulation.checked_steps import WINDOW, StallWatch
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.parts.actuators.series_elastic_drive import SeriesElasticDrive
 from mbd_ros.parts.constraints.dry_friction import DryFriction
 from mbd_ros.parts.integrators.adams import Adams
@@ -435,7 +433,7 @@ def test_derivatives_are_those_of_the_equations():
 
 def test_the_fastest_rate_is_that_of_rotor_and_joint():
     """No gravity: eigenvalues of two inertias at one damped spring, in closed form."""
-    from mbd_ros.core.integration.linear_motion import fastest_rate
+    from mbd_ros.methods.integration.linear_motion import fastest_rate
 
     drive = {**DRIVE, "viscous": 0.0, "damping": 0.0}
     scene = pendulum(robot={"gravity": [0.0, 0.0, 0.0]}, actuators=[drive])

@@ -9,13 +9,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.loads.external_wrench import ExternalWrench
-from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
-from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.loads.external_loads import ExternalWrench
+from mbd_ros.core.model.couplings import Coupling, Couplings, Polynomial, natural_cubic_spline
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.parts.forces.joint_friction import JointFriction
 from mbd_ros.parts.forces.joint_spring import JointSpring
 from mbd_ros.scene.reader import load_scene

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from mbd_ros.core.estimation.estimator import Measurement
-from mbd_ros.core.estimation.process import LinearProcess
-from mbd_ros.core.estimation.smoother import Filtered, smoothed
-from mbd_ros.core.optimization.row_bounded_qp import RowBoundedQp
+from mbd_ros.core.optimization.hard_soft_qp import RowBoundedQp
 from mbd_ros.errors import ModelError, SolveError
-from mbd_ros.features.estimation.innovation_watch import InnovationWatch
+from mbd_ros.features.estimation.faults import InnovationWatch
+from mbd_ros.methods.estimation.kalman_filter import Filtered, smoothed
+from mbd_ros.methods.estimation.process import LinearProcess, Measurement
 from mbd_ros.parts.estimators.extended_kalman import ExtendedKalman
 from mbd_ros.parts.estimators.kalman import Kalman
 from mbd_ros.parts.estimators.moving_horizon import MovingHorizon

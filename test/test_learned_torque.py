@@ -8,14 +8,13 @@ import pytest
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.core.control.contract import ControlledJoints, EffortBox, Reference
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.learned.model_file import SUM, ZEROS, About, numbers_of, signed
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
-from mbd_ros.features.identification.learn.curves import CURVES
+from mbd_ros.features.identification.learn.ensembles import CURVES, Scales
 from mbd_ros.features.identification.learn.onnx_file import onnx_of
-from mbd_ros.features.identification.learn.scales import Scales
+from mbd_ros.methods.control.contract import ControlledJoints, EffortBox, Reference
+from mbd_ros.methods.learned import SUM, ZEROS, About, numbers_of, signed
 from mbd_ros.parts.controllers.computed_torque import ComputedTorque
 from mbd_ros.scene.reading.learned_entries import physics_beside
 

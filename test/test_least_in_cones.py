@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from mbd_ros.core.optimization.cone_limits import Limits
-from mbd_ros.core.optimization.least_norm_in_cones import least_in_cones, least_with_open
+from mbd_ros.core.optimization.least_norm import Limits, least_in_cones, least_with_open
 from mbd_ros.errors import SolveError
 
 CONTACTS, EFFORTS, SIZE = 4, 2, 300.0  # N

@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.contracts.outputs import Kind, Output
-from mbd_ros.core.contracts.parts import Load
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.core.contracts import Kind, Load, Output
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 from mbd_ros.nodes.shell.contact_topics import contact_details, contacts_of
 
 TICKS = 25

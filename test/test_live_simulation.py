@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 from mechanisms import floating_body, scene_of
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.core.loads.input_sources import Sampled
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
-from mbd_ros.core.simulation.safe_command import SafeCommand
+from mbd_ros.core.loads.inputs import Sampled
 from mbd_ros.errors import DivergedError, ModelError, SceneError
 from mbd_ros.files.body_columns import POSE as POSE_WORDS
 from mbd_ros.files.body_columns import TWIST as TWIST_WORDS
 from mbd_ros.files.body_columns import names_of
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation, SafeCommand
 from mbd_ros.motion.state_table import table_of
 
 ROOT = Path(__file__).parents[1]

@@ -7,15 +7,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.control.delay_margin import LoopGains, pd_gains, sliding_gains, tolerable_delay
-from mbd_ros.core.projection.observed_state import ObservedState
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
-from mbd_ros.features.control.chatter import ChatterMeter
-from mbd_ros.features.control.command_guard import Guard
-from mbd_ros.features.control.control_loop import ControlLoop
-from mbd_ros.features.control.loop_watch import DelayMeter, LoopWatch, LossLimits, rest_responses
-from mbd_ros.features.control.reference_generator import ReferenceGenerator
+from mbd_ros.features.control.control_loop import ControlLoop, Guard
+from mbd_ros.features.control.loop_watch import (
+    ChatterMeter,
+    DelayMeter,
+    LoopWatch,
+    LossLimits,
+    rest_responses,
+)
+from mbd_ros.features.control.reference import ReferenceGenerator
+from mbd_ros.methods.control.contract import LoopGains, pd_gains, sliding_gains, tolerable_delay
+from mbd_ros.methods.projection.state_projection import ObservedState
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.registry import resolve
 

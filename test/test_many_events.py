@@ -8,12 +8,10 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.contracts.parts import Guard, Load
-from mbd_ros.core.events.event import Event
-from mbd_ros.core.events.event_log import EventLog
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.core.contracts import Guard, Load
 from mbd_ros.core.state import State
+from mbd_ros.methods.events.event import Event, EventLog
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 
 RATE = 1000.0
 PENDULUM = "package://mbd_ros/config/robots/pendulum.urdf"

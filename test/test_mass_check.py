@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.core.dynamics.mass_check import _least_resistance
+from mbd_ros.core.dynamics.mass import _least_resistance
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError, SolveError
 from mbd_ros.files.tables.csv import read_table, write_table

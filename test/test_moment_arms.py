@@ -10,7 +10,7 @@ import pytest
 
 import mbd_ros as mbd
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.paths.sampled_paths import PathBatch
+from mbd_ros.core.kinematics.paths.paths import PathBatch
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table

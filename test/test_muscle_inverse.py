@@ -5,11 +5,16 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import mbd_ros as mbd
-from mbd_ros.core.muscles.array_numbers import ArrayNumbers
+from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.errors import MbdError
-from mbd_ros.features.muscles.muscle_dynamics import DEFAULTS, MuscleDynamics, muscles_with
-from mbd_ros.features.muscles.muscle_trial import Excited, Trial
-from mbd_ros.features.muscles.trial_points import Points
+from mbd_ros.features.muscles.muscle_frames import (
+    DEFAULTS,
+    Excited,
+    MuscleDynamics,
+    Trial,
+    muscles_with,
+)
+from mbd_ros.features.muscles.trial import Points
 from mbd_ros.optimal_control.collocation import RADAU, collocation
 
 pytest.importorskip("casadi", reason="casadi is optional (extra: compiled)")
@@ -98,8 +103,7 @@ def known_trial(muscles, points):
 @pytest.mark.parametrize("kind", ["activation", "tendon"])
 def test_a_part_beside_a_known_rest_is_solved_as_the_whole_is(swing, kind):
     """Slopes of the cost beyond a part leave it at the optimum of the whole."""
-    from mbd_ros.features.muscles.trial_blocks import Part
-    from mbd_ros.features.muscles.trial_program import MuscleProgram
+    from mbd_ros.features.muscles.trial_program import MuscleProgram, Part
 
     muscles = muscles_with(MuscleDynamics(kind, *DEFAULTS), swing[0].muscles)
     points = Points(np.linspace(0.0, 0.4, 21), collocation(RADAU, 3))

@@ -11,8 +11,8 @@ import pytest
 from scipy.integrate import simpson
 from simulator_plant import plant
 
-from mbd_ros.core.loads.input_sources import HeldTable
-from mbd_ros.core.muscles.array_numbers import ArrayNumbers
+from mbd_ros.core.loads.inputs import HeldTable
+from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.errors import DataError
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.table import MAIN

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from opensim_muscles import ANY_PATH, at_times, columns, muscles
 
-from mbd_ros.core.muscles.array_numbers import ArrayNumbers
+from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.core.muscles.rigid_tendons import RigidTendons
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.from_python import scene_from

@@ -5,12 +5,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.model.wrenches import WrenchBuffer
+from mbd_ros.core.loads.external_loads import WrenchBuffer
 from mbd_ros.errors import DataError
 from mbd_ros.features.inverse_dynamics.job import inverse_to
 from mbd_ros.files.bags.bags import BagWriter, new_message
 from mbd_ros.files.tables.csv import read_table, write_table
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.samples import Task
 from mbd_ros.scene.from_python import scene_from

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.core.state import Motion
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.files.bags.bags import messages
 from mbd_ros.files.recording import Recording
 from mbd_ros.files.tables.csv import read_table, write_table
-from mbd_ros.motion.loop_closing import close_loops
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.motion.samples import close_loops
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"

@@ -25,9 +25,9 @@ from osim_models import (
     turn,
 )
 
-from mbd_ros.core.model.simm_spline import simm_spline
+from mbd_ros.core.model.couplings import simm_spline
 from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.models.poses import roll_pitch_yaw
+from mbd_ros.scene.models.urdf_text import roll_pitch_yaw
 
 KINDS = {
     "WeldJoint": (np.eye(3), (0, 0, 0)),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.loads.input_sources import Sampled
+from mbd_ros.core.loads.inputs import Sampled
 from mbd_ros.core.model import robot_reader
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.from_python import scene_from

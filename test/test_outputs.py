@@ -7,12 +7,11 @@ from simulator_plant import plant
 from std_msgs.msg import Float64MultiArray
 
 import mbd_ros as mbd
-from mbd_ros.core.contracts.outputs import Kind, Output, exerted_on
-from mbd_ros.core.contracts.parts import Load, Reads
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.core.contracts import Kind, Load, Output, exerted_on
+from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.formats import read_result
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 from mbd_ros.scene.schema.code_permission import permitting
 from mbd_ros.scene.schema.renamed import renamed
 

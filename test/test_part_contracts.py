@@ -12,15 +12,15 @@ import pinocchio as pin
 import pytest
 from standing_plan import standing
 
-from mbd_ros.core.contracts.parts import Part
-from mbd_ros.core.control.contract import EffortBox, Reference
+from mbd_ros.core.contracts import Part
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.loads.input_sources import Sampled
-from mbd_ros.core.multiplier_laws import Kind, Level
+from mbd_ros.core.loads.inputs import Sampled
 from mbd_ros.core.ranges import described
+from mbd_ros.core.rows.constraint import Kind, Level
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.describe.part_lines import part_lines
+from mbd_ros.methods.control.contract import EffortBox, Reference
+from mbd_ros.scene.describe.check import part_lines
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.building import Origin, Site
@@ -28,9 +28,9 @@ from mbd_ros.scene.reading.contact_entries import with_shapes
 from mbd_ros.scene.reading.learned_entries import with_files
 from mbd_ros.scene.reading.path_entries import with_paths
 from mbd_ros.scene.schema import schema
-from mbd_ros.scene.schema.arguments import entries
 from mbd_ros.scene.schema.code_permission import permitting
 from mbd_ros.scene.schema.registry import PARTS, resolve
+from mbd_ros.scene.schema.schema import entries
 
 OUTSIDE = parts_of_pages.OUTSIDE
 OF_A_ROBOT = ("actuators", "constraints", "contacts", "forces", "muscles", "sensors")

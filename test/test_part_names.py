@@ -2,8 +2,7 @@
 
 import pytest
 
-from mbd_ros.core.contracts.parts import Load
-from mbd_ros.core.names import type_name
+from mbd_ros.core.contracts import Load, type_name
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.schema.registry import PARTS, resolve

@@ -8,7 +8,7 @@ import pytest
 from mechanisms import floating_body, joint, link, urdf
 from scipy.integrate import solve_ivp
 
-from mbd_ros.core.impacts.impact_map import VelocityLevel
+from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
 from mbd_ros.core.state import State
 from mbd_ros.scene.from_python import scene_from
 

@@ -10,11 +10,16 @@ from mbd_ros.applications.report.items import Item
 from mbd_ros.applications.report.left_out import kind as left_out
 from mbd_ros.applications.report.left_out.kind import operations
 from mbd_ros.applications.report.precision import kind as precision
-from mbd_ros.applications.report.precision.choices import Choice, compiles, formulations, snippet
-from mbd_ros.applications.report.precision.converged import known
+from mbd_ros.applications.report.precision.converged import (
+    Choice,
+    approach,
+    compiles,
+    formulations,
+    known,
+    snippet,
+)
 from mbd_ros.applications.report.precision.kind import between
 from mbd_ros.applications.report.precision.pareto import Point, cheapest, cost_at, front
-from mbd_ros.applications.report.precision.rattle_check import approach
 from mbd_ros.applications.report.precision.reference_problems import PROBLEMS, SCENES
 from mbd_ros.applications.report.precision.text import brief, compose, power
 from mbd_ros.core.rows.constraint_rows import ConstraintRows

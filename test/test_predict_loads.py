@@ -6,16 +6,15 @@ import pytest
 from prediction_scenes import biped, four_bar
 
 import mbd_ros as mbd
-from mbd_ros.core.inverse_dynamics.joint_loads import JointLoads
-from mbd_ros.core.inverse_dynamics.reactions import JointReactions
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
 from mbd_ros.features.prediction.modes import modes_of
 from mbd_ros.features.prediction.task import predict_task
-from mbd_ros.optimal_control.phase_equations import LETTERS, PhaseEquations
+from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions
+from mbd_ros.optimal_control.defects import LETTERS, PhaseEquations
 from mbd_ros.optimal_control.quantities import Quantities
-from mbd_ros.scene.runs.symbolic_parts import traced
+from mbd_ros.scene.runs.compiling import traced
 
 TILTED = {"type": "applied_wrench", "frame": "shank", "force": [5.0, 1.0, -3.0]}
 PUSHED = {

@@ -11,15 +11,15 @@ from mbd_ros.applications.report.bench.controllers import (
     situations,
     with_and_without_limits,
 )
-from mbd_ros.core.control.contract import EffortBox, Reference
-from mbd_ros.core.control.motion_limits import MotionLimits
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.joints import Joint
-from mbd_ros.core.rows.row_layout import rigid
-from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.model.robot import Joint
+from mbd_ros.core.rows.constraint_rows import rigid
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.methods.control.contract import EffortBox, Reference
+from mbd_ros.methods.control.efforts import MotionLimits
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.parts.actuators.ideal import Ideal
 from mbd_ros.parts.controllers.qp_tracking import QpTracking
 from mbd_ros.parts.integrators.rk4 import Rk4

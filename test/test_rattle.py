@@ -19,7 +19,7 @@ from row_systems import (
 from scipy.special import ellipj
 from systems import free_system
 
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError
 from mbd_ros.parts.integrators.generalized_alpha import GeneralizedAlpha

@@ -7,19 +7,19 @@ import pinocchio as pin
 import pytest
 from mechanisms import floating_body
 
-from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.contracts import Wrench
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse_dynamics.efforts import joint_efforts
-from mbd_ros.core.inverse_dynamics.reactions import JointReactions
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.loads.external_wrench import ExternalWrench
+from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import NONE, State
+from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.methods.inverse_dynamics.efforts import joint_efforts
+from mbd_ros.methods.inverse_dynamics.reactions import JointReactions
+from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.parts.constraints.distance import Distance
 from mbd_ros.parts.constraints.frame_anchor import FrameAnchor
 from mbd_ros.parts.forces.applied_wrench import AppliedWrench

@@ -10,9 +10,9 @@ from scipy.interpolate import CubicSpline
 
 import mbd_ros
 from mbd_ros.cli import main
-from mbd_ros.core.inverse_dynamics.torque_estimator import TorqueEstimator, Tuning
 from mbd_ros.files.bags.bags import new_message
 from mbd_ros.files.tables.csv import read_table, write_table
+from mbd_ros.methods.inverse_dynamics.torque_estimator import TorqueEstimator, Tuning
 from mbd_ros.motion.recordings import read_motion
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene

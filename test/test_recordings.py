@@ -14,9 +14,8 @@ from mbd_ros.core.state import WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags.bags import BagWriter, messages, new_message, topic_types
 from mbd_ros.files.formats import is_bag
-from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.table import Column, Result, Table, time_columns
 from mbd_ros.files.tables.csv import read_table
-from mbd_ros.files.times import time_columns
 from mbd_ros.jobs.progress import progress
 from mbd_ros.motion.recordings import read_motion, read_wrenches
 from msg_adapters.time import write_time

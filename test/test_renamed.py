@@ -43,7 +43,7 @@ def test_a_part_of_an_earlier_version_is_told_where_a_module_is_now(tmp_path, mo
     ("old", "new"),
     [
         ("mbd_ros.core.forward.system", "mbd_ros.core.dynamics.system"),
-        ("mbd_ros.core.forward.row_factor", "mbd_ros.core.rows.row_factor"),
+        ("mbd_ros.core.forward.row_factor", "mbd_ros.core.rows.delassus"),
     ],
 )
 def test_modules_below_a_renamed_one_are_found(old, new):
@@ -97,7 +97,7 @@ def test_an_old_topic_is_told_its_new_name(old_name, tmp_path):
 
 
 def test_an_old_parameter_is_told_its_new_name(old_name):
-    from mbd_ros.nodes.shell.declared import Declared
+    from mbd_ros.nodes.shell.parameters import Declared
 
     old_name("parameter", "speed", "rate")
     node = SimpleNamespace(_specs={"rate": None, "scene": None})

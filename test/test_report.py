@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import pytest
 from report_runs import numbers, pendulum, ran, report, use_fake
 
-import mbd_ros.applications.report.program as hashes
+import mbd_ros.applications.report.store as hashes
 from mbd_ros.applications.report import items
 
 

@@ -5,7 +5,7 @@ import json
 import pytest
 from report_runs import numbers, pendulum, ran, report, use_fake
 
-import mbd_ros.applications.report.program as hashes
+import mbd_ros.applications.report.store as hashes
 from mbd_ros.applications.report.items import Item
 from mbd_ros.applications.report.store import Store
 from mbd_ros.jobs.workers.task import Result, cpu

@@ -93,8 +93,8 @@ def test_a_worker_lost_once_costs_nothing(tmp_path, monkeypatch):
 
 
 def test_an_item_that_never_ends_is_wrong(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("mbd_ros.applications.report.work._PATIENCE", 0.1)
-    monkeypatch.setattr("mbd_ros.applications.report.work._SLOWER", 0.1)
+    monkeypatch.setattr("mbd_ros.applications.report.compose._PATIENCE", 0.1)
+    monkeypatch.setattr("mbd_ros.applications.report.compose._SLOWER", 0.1)
     assert report("--quick", "-o", tmp_path / "out") == 1
     assert "fake/number-00: no result within 0.1 s" in capsys.readouterr().err
 

@@ -4,11 +4,11 @@ import pytest
 from report_runs import numbers, pendulum, ran, report, use_fake
 
 from mbd_ros.applications.report import items
+from mbd_ros.applications.report.compose import collect
 from mbd_ros.applications.report.left_out import kind as left_out
 from mbd_ros.applications.report.precision import kind as precision
 from mbd_ros.applications.report.store import Store
 from mbd_ros.applications.report.subjects import subjects
-from mbd_ros.applications.report.work import collect
 
 
 @pytest.fixture

@@ -9,7 +9,7 @@ from mbd_ros.applications.report.compose import plain, scene_pages
 from mbd_ros.applications.report.items import Section, Table
 from mbd_ros.applications.report.page import page, section_lines
 from mbd_ros.applications.report.subjects import Subject
-from mbd_ros.jobs.workers.remaining import Remaining, watched
+from mbd_ros.jobs.workers.opening import Remaining, watched
 from mbd_ros.jobs.workers.task import Result, Task
 from mbd_ros.scene.schema.locate import find_scene
 

@@ -7,14 +7,17 @@ import numpy as np
 import pytest
 from plain_walkers import rimless_wheel, simplest_walker
 
-from mbd_ros.core.sensitivities.differences import derivative
-from mbd_ros.core.sensitivities.saltation import crossing, reset_along, saltation, transition
-from mbd_ros.core.sensitivities.travel import Travel
 from mbd_ros.errors import FallError, SolveError
-from mbd_ros.features.gait.branch import DOUBLING
-from mbd_ros.features.gait.continuation import Continuation
-from mbd_ros.features.gait.periodic import periodic_motion
-from mbd_ros.features.gait.return_map import ReturnMap, multipliers
+from mbd_ros.features.gait.continuation import DOUBLING, Continuation
+from mbd_ros.features.gait.periodic import ReturnMap, multipliers, periodic_motion
+from mbd_ros.methods.sensitivities.flow import Travel
+from mbd_ros.methods.sensitivities.saltation import (
+    crossing,
+    derivative,
+    reset_along,
+    saltation,
+    transition,
+)
 
 # Fixed points in 80-bit arithmetic, beyond the digits of Garcia et al. 1998: slope, theta,
 # thetadot, phidot, period, multipliers.

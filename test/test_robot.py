@@ -7,10 +7,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.errors import ModelError
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"
 ARM = (ROBOTS / "arm7.urdf").read_text(encoding="utf-8")

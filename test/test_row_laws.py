@@ -12,10 +12,18 @@ from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.multiplier_laws import Kind, Level, bilateral, box, cone, drive, unilateral
-from mbd_ros.core.rows.constraint import Constraint, Row
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.rows.row_layout import RowLayout, rigid
+from mbd_ros.core.rows.constraint import (
+    Constraint,
+    Kind,
+    Level,
+    Row,
+    bilateral,
+    box,
+    cone,
+    drive,
+    unilateral,
+)
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout, rigid
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.parts.constraints.dry_friction import DryFriction
@@ -208,7 +216,7 @@ OTHERS = (  # what unknowns of a program are limited to, and where a file begins
     "mbd_ros/features/prediction",
     "mbd_ros/features/loads",
     "mbd_ros/features/prediction/task.py",
-    "mbd_ros/features/prediction/task_phases.py",
+    "mbd_ros/features/prediction/task.py",
 )
 OPTIONS = {"batch", "task"}  # of `mbd-ros inverse --bounds`: whether, not which
 

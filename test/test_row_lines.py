@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.integration.linear_motion import fastest_rate
 from mbd_ros.core.state import State
+from mbd_ros.methods.integration.linear_motion import fastest_rate
 from mbd_ros.parts.integrators.rk4 import Rk4
 
 PENDULUM = Path(__file__).parents[1] / "config/robots/pendulum.urdf"

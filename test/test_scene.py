@@ -242,7 +242,7 @@ def test_package_addresses_are_found(write, tmp_path, monkeypatch, prefix):
 
 OUTSIDE = """
 import numpy as np
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 class Push(Load):
     def __init__(self, robot, *, size: float):
         self.tau = np.full(robot.model.nv, size)

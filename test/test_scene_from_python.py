@@ -9,7 +9,7 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.from_python import scene_from
@@ -204,7 +204,7 @@ def test_paths_of_a_changed_scene_start_from_its_file(leg):
 
 def test_code_that_was_permitted_stays_so(tmp_path, monkeypatch):
     (tmp_path / "own_parts.py").write_text(
-        "from mbd_ros.core.contracts.parts import Load\n"
+        "from mbd_ros.core.contracts import Load\n"
         "class Push(Load):\n def __init__(self, robot): pass\n"
         " def force(self, k, x, u): return 0.0\n"
         "class Pull(Push): pass\n"

@@ -10,7 +10,7 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.errors import SceneError
-from mbd_ros.features.scenes.scenes import about_scene
+from mbd_ros.features.tools.scenes import about_scene
 from mbd_ros.scene.reader import description_topic, load_scene
 from mbd_ros.scene.schema.locate import embedded_scenes, find_scene
 

@@ -23,7 +23,7 @@ MODULE = '''
 
 import numpy as np
 
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 from mbd_ros.scene.schema.sections import Form, Section
 
 

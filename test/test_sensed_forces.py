@@ -5,18 +5,18 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros import load_scene, scene_from
-from mbd_ros.core.contracts.outputs import Now
-from mbd_ros.core.inverse_dynamics.sensed_reactions import FeltReactions
-from mbd_ros.core.kinematics.rotations import (
+from mbd_ros.core.contracts import Now
+from mbd_ros.core.kinematics.poses import (
     nearest_rotation_vector,
     quaternion_vector,
     vector_quaternion,
 )
-from mbd_ros.core.simulation.noisy_sensors import NoisySensors
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.features.estimation.estimation import estimation_of
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
+from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+from mbd_ros.methods.simulation.noisy_sensors import NoisySensors
 
 STEP = 0.002
 

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.contracts.sensor import Measures
+from mbd_ros.core.contracts import Measures
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError

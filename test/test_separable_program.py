@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from mbd_ros.core.optimization.separable_cost import SeparableCost, power_cost
-from mbd_ros.core.optimization.separable_program import SeparableProgram
+from mbd_ros.core.optimization.separable import SeparableCost, SeparableProgram, power_cost
 from mbd_ros.errors import SolveError
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.features.simulation.to_file import diverged_place
+from mbd_ros.features.simulation.job import diverged_place
 from mbd_ros.files.bags.bags import messages
 from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.motion.recordings import read_motion

@@ -9,7 +9,7 @@ from urllib.parse import unquote
 
 import pytest
 
-from mbd_ros.features.completion.words import all_words
+from mbd_ros.features.tools.completion_scripts import all_words
 from mbd_ros.nodes.table import NODES
 from mbd_ros.scene.schema.registry import PARTS
 
@@ -82,7 +82,7 @@ def test_references_are_complete(site):
     interface = {
         "mbd_ros.api.load_scene",
         "mbd_ros.api.Scene.simulate",
-        "mbd_ros.core.contracts.parts.Load",
+        "mbd_ros.core.contracts.Load",
     }
     assert interface <= site["python_reference.html"].ids
 

@@ -7,13 +7,18 @@ import pytest
 from mechanisms import scaled, scene_of
 from scipy.integrate import solve_ivp
 
-from mbd_ros.core.contracts.parts import Load
-from mbd_ros.core.control.contract import EffortBox, Reference
-from mbd_ros.core.control.reaching_laws import LAWS, ReachingLaw
-from mbd_ros.core.control.sliding import mismatch, sliding_variable
-from mbd_ros.core.control.super_twisting import reaching_time_bound, super_twisting
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.state import State
-from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.loop_watch import ChatterMeter
+from mbd_ros.methods.control.contract import EffortBox, Reference
+from mbd_ros.methods.control.sliding_mode import (
+    LAWS,
+    ReachingLaw,
+    mismatch,
+    reaching_time_bound,
+    sliding_variable,
+    super_twisting,
+)
 from mbd_ros.parts.controllers.computed_torque import ComputedTorque
 from mbd_ros.parts.controllers.sliding_mode import SlidingMode
 from mbd_ros.parts.controllers.super_twisting import SuperTwisting

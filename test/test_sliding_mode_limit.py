@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 from mechanisms import scaled, scene_of
 
-from mbd_ros.core.contracts.parts import Load
-from mbd_ros.core.control.contract import EffortBox, Reference
-from mbd_ros.core.events.switching import DiscontinuousForce
+from mbd_ros.core.contracts import Load
+from mbd_ros.methods.control.contract import EffortBox, Reference
+from mbd_ros.methods.events.mode_field import DiscontinuousForce
 from mbd_ros.parts.controllers.sliding_mode import SlidingMode
 
 ROBOTS = Path(__file__).parents[1] / "config/robots"

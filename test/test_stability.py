@@ -12,35 +12,31 @@ from mbd_ros.applications.report.items import Item
 from mbd_ros.applications.report.stability import kind as stability
 from mbd_ros.applications.report.stability import long_runs, reference_motion, verdicts
 from mbd_ros.applications.report.stability.cases import (
+    FITTING,
     METHODS,
     VERDICTS,
     Case,
-    chooses_steps,
-    longest_step,
-    tiers,
-)
-from mbd_ros.applications.report.stability.extreme_scenes import extremes, mechanism, rods
-from mbd_ros.applications.report.stability.kind import equations
-from mbd_ros.applications.report.stability.motion import Grid
-from mbd_ros.applications.report.stability.oracle import Oracle
-from mbd_ros.applications.report.stability.random_scenes import random_scene
-from mbd_ros.applications.report.stability.reference_motion import reference, starting_rate
-from mbd_ros.applications.report.stability.row_labels import row_label
-from mbd_ros.applications.report.stability.scene_text import load
-from mbd_ros.applications.report.stability.steps import (
-    FITTING,
     asked_step,
+    chooses_steps,
     fitted,
     is_another,
+    longest_step,
     room,
+    tiers,
 )
+from mbd_ros.applications.report.stability.kind import equations
+from mbd_ros.applications.report.stability.oracle import Oracle
+from mbd_ros.applications.report.stability.reference_motion import Grid, reference, starting_rate
+from mbd_ros.applications.report.stability.row_labels import row_label
+from mbd_ros.applications.report.stability.scene_text import load
+from mbd_ros.applications.report.stability.scenes import extremes, mechanism, random_scene, rods
 from mbd_ros.applications.report.stability.verdicts import judge
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
 from mbd_ros.core.dynamics.kkt import Kkt
-from mbd_ros.core.projection.assembly import assemble, violation
-from mbd_ros.core.rows.pair_rows import PairRows
+from mbd_ros.core.rows.frame_rows import PairRows
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError, SolveError
+from mbd_ros.methods.projection.assembly import assemble, violation
 from mbd_ros.parts.constraints.distance import Distance
 from mbd_ros.parts.forces.joint_spring import JointSpring
 from mbd_ros.parts.integrators.rk4 import Rk4
@@ -77,7 +73,7 @@ def test_the_oracle_asks_a_constraint_that_it_does_not_know(monkeypatch):
     """Which may read points, as one of another package does."""
     row = next(row for row in extremes(False) if row.name == FOUR_BAR)
     known, moved = Oracle(row.load()), row.load().scene.initial
-    monkeypatch.setattr("mbd_ros.applications.report.stability.oracle_rows._KNOWN", {})
+    monkeypatch.setattr("mbd_ros.applications.report.stability.oracle._KNOWN", {})
     asked = Oracle(row.load())
     moved = moved._replace(q=moved.q + 0.1)
     assert known.violation(moved) > 1e-3

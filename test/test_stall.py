@@ -12,8 +12,8 @@ import pytest
 from mechanisms import scene_of
 
 from mbd_ros.cli import main
-from mbd_ros.core.simulation.stall import WINDOW, StallWatch
 from mbd_ros.errors import DivergedError
+from mbd_ros.methods.simulation.checked_steps import WINDOW, StallWatch
 from mbd_ros.motion.recordings import read_motion
 
 ROOT = Path(__file__).parents[1]

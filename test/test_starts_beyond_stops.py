@@ -7,8 +7,8 @@ import pytest
 import yaml
 
 import mbd_ros as mbd
-from mbd_ros.core.projection.assembly import violation
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.projection.assembly import violation
 
 PATH = Path(__file__).parents[1] / "config/scenes/four_bar_leg.yaml"
 SECTIONS = yaml.safe_load(PATH.read_text(encoding="utf-8"))

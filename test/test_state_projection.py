@@ -9,15 +9,14 @@ import qpsolvers
 
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.coupling_functions import Linear, Polynomial
-from mbd_ros.core.model.couplings import CoupledPair
+from mbd_ros.core.model.couplings import CoupledPair, Linear, Polynomial
 from mbd_ros.core.optimization.box_qp import Statistics
 from mbd_ros.core.optimization.lcp import ComplementarityProblem
-from mbd_ros.core.projection.coupled_joints import CoupledJoints
-from mbd_ros.core.projection.state_projection import Measurement, StateProjector
-from mbd_ros.core.rows.row_layout import rigid
+from mbd_ros.core.rows.constraint_rows import rigid
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.projection.coupled_joints import CoupledJoints
+from mbd_ros.methods.projection.state_projection import Measurement, StateProjector
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"

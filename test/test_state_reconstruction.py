@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from test_state_projection import FOUR_BAR, LEG, projector
 
-from mbd_ros.core.inverse_dynamics.torque_estimator import Tuning
-from mbd_ros.core.projection.state_projection import ProjectedState
-from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.errors import SolveError
 from mbd_ros.features.estimation.state_reconstruction import StateReconstructor
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Tuning
+from mbd_ros.methods.projection.state_projection import ProjectedState
+from mbd_ros.methods.signals.differentiation import SampleStatus
 
 MS = 1_000_000  # ns
 BEGIN = 5_000_000_000  # ns

@@ -6,15 +6,17 @@ import gzip
 import numpy as np
 import pytest
 
-from mbd_ros.core.inverse_dynamics.joint_loads import JointLoads
-from mbd_ros.core.inverse_dynamics.reactions import JointReactions
-from mbd_ros.core.inverse_dynamics.reserves import BodyReserve, reserve_on
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
-from mbd_ros.features.muscles.sharing_costs import Criterion, shortening_rate
-from mbd_ros.features.muscles.sharing_options import Wishes
-from mbd_ros.features.muscles.static_optimization import StaticOptimization
+from mbd_ros.features.muscles.static_optimization import (
+    Criterion,
+    StaticOptimization,
+    Wishes,
+    shortening_rate,
+)
+from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions
+from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, reserve_on
 from mbd_ros.scene.from_python import scene_from
 
 PLATES = {

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.applications.report.stability.extreme_scenes import mechanism, rods
-from mbd_ros.core.integration.linear_motion import fastest_rate, linear_motion, longest_step
+from mbd_ros.applications.report.stability.scenes import mechanism, rods
 from mbd_ros.errors import DivergedError, MbdError, SolveError
-from mbd_ros.features.simulation import step_check
-from mbd_ros.features.simulation.step_check import step_warnings
+from mbd_ros.features.simulation import checks
+from mbd_ros.features.simulation.checks import step_warnings
+from mbd_ros.methods.integration.linear_motion import fastest_rate, linear_motion, longest_step
 from mbd_ros.parts.forces.joint_spring import JointSpring
 from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE
 from mbd_ros.scene.describe.check import describe
@@ -131,7 +131,7 @@ def test_a_state_without_a_rate_nearby_is_passed_over(monkeypatch):
             raise SolveError("QP not solved")
         return rates.pop()
 
-    monkeypatch.setattr(step_check, "linear_motion", failing)
+    monkeypatch.setattr(checks, "linear_motion", failing)
     rates = [linear_motion(simulation.system, scene.initial)]
     told = list(step_warnings(simulation.system, simulation.integrator, 0.05, states))
     assert any("fastest rate 100 1/s" in text for text in told)

@@ -6,12 +6,10 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
-from mbd_ros.core.integration import spring_rebound as bouncing
-from mbd_ros.core.integration.contact_motion import ContactMotion, touching_motion
-from mbd_ros.core.integration.linear_motion import LinearMotion
-from mbd_ros.core.integration.spring_motion import SpringMotion
-from mbd_ros.core.integration.stiffness_window import windows
 from mbd_ros.errors import DivergedError
+from mbd_ros.methods.integration import stiffness_window as bouncing
+from mbd_ros.methods.integration.linear_motion import LinearMotion, SpringMotion
+from mbd_ros.methods.integration.stiffness_window import ContactMotion, touching_motion, windows
 from mbd_ros.scene.reading.part_entries import build_part
 
 G, DT = 9.81, 1.0e-3

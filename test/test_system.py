@@ -9,18 +9,17 @@ import pytest
 from mechanisms import wrenches_of
 from systems import acceleration
 
-from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
 from mbd_ros.core.dynamics.kkt import Kkt
-from mbd_ros.core.dynamics.mimic_joints import Mimic
-from mbd_ros.core.dynamics.reduced import Reduced
+from mbd_ros.core.dynamics.open_chain import Aba
+from mbd_ros.core.dynamics.reduced import Mimic, Reduced
 from mbd_ros.core.dynamics.tiers import build_system, tier_of
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.projection.assembly import assemble, project
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError, SolveError
+from mbd_ros.methods.projection.assembly import assemble, project
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
 

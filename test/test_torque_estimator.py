@@ -5,12 +5,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
-from mbd_ros.core.model.coupling_functions import Polynomial
-from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.couplings import Coupling, Couplings, Polynomial
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.signals.differentiation import SampleStatus
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.methods.signals.differentiation import SampleStatus
 
 MS = 1_000_000
 ARM = (Path(__file__).parents[1] / "config/robots/prosthetic_arm.urdf").read_text(encoding="utf-8")

@@ -6,9 +6,9 @@ from test_traced_scenes import EXACT, called, conditions, scene_of
 
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.events.mode_field import ModeField
-from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import State
+from mbd_ros.methods.events.mode_field import ModeField
+from mbd_ros.methods.projection.assembly import assemble
 
 ROPE = {"points": [{"frame": "world", "xyz": [0.1, 0.0, 1.0]}, {"frame": "foot"}]}
 SWING = {"amplitude": 0.2, "angular_frequency": 3.0}

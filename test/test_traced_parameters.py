@@ -7,7 +7,7 @@ from test_traced_scenes import EXACT, scene_of, states
 
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.runs.symbolic_parts import traced
+from mbd_ros.scene.runs.compiling import traced
 
 MOTOR = {"type": "geared_motor", "joint": "ankle", "ratio": 50.0, "rotor_inertia": 1e-5}
 DRIVE = {"type": "series_elastic_drive", "joint": "knee", "stiffness": 300.0}

@@ -9,11 +9,8 @@ from test_part_contracts import NAMED, OF_A_ROBOT, arguments, moments, part_in
 
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
-from mbd_ros.core.contracts.outputs import Now
-from mbd_ros.core.contracts.parts import Load
-from mbd_ros.core.contracts.sensor import Measures, Sensor
-from mbd_ros.core.multiplier_laws import Level
-from mbd_ros.core.rows.constraint import Constraint
+from mbd_ros.core.contracts import Load, Measures, Now, Sensor
+from mbd_ros.core.rows.constraint import Constraint, Level
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.schema.registry import PARTS
 

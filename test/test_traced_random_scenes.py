@@ -5,8 +5,8 @@ import pytest
 from complex_steps import slopes
 from test_traced_scenes import EXACT, called, conditions, states, tangent
 
-from mbd_ros.applications.report.stability.random_scenes import random_scene
 from mbd_ros.applications.report.stability.scene_text import load
+from mbd_ros.applications.report.stability.scenes import random_scene
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.thresholds import NEAR_TOGGLE

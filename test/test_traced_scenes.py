@@ -9,9 +9,9 @@ from complex_steps import slopes
 
 from mbd_ros.compiled.symbols.trace import trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.scene.reader import load_scene
 
 SCENES = Path(__file__).parents[1] / "config/scenes"

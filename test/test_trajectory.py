@@ -7,11 +7,10 @@ import pytest
 from mechanisms import double_pendulum
 from systems import free_system
 
-from mbd_ros.core.control.contract import ControlledJoints, Reference
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.features.control.reference_generator import ReferenceGenerator
-from mbd_ros.features.control.reference_limits import TargetError
-from mbd_ros.features.control.trajectory import ReferenceTrajectory
+from mbd_ros.features.control.reference import ReferenceGenerator
+from mbd_ros.features.control.trajectory import ReferenceTrajectory, TargetError
+from mbd_ros.methods.control.contract import ControlledJoints, Reference
 
 TIMES = np.array([0.0, 0.4, 1.0, 1.1])
 Q = np.array([[0.0, 1.0], [0.5, -1.0], [0.2, 0.0], [0.1, 0.3]])

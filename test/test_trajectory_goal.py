@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
-from mbd_ros.core.control.contract import Reference
-from mbd_ros.features.control.reference_limits import TargetError
-from mbd_ros.features.control.reference_map import ReferenceMap
-from mbd_ros.features.control.trajectory_goal import (
+from mbd_ros.features.control.reference import ReferenceMap
+from mbd_ros.features.control.trajectory import (
     JointTolerance,
     ResultCode,
+    TargetError,
     Tolerances,
     TrajectoryGoal,
 )
+from mbd_ros.methods.control.contract import Reference
 from mbd_ros.scene.reader import load_scene
 
 NAMES = ("hip", "knee")

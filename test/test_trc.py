@@ -7,7 +7,7 @@ import pytest
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import read_result
-from mbd_ros.files.markers import read_markers
+from mbd_ros.files.recording import read_markers
 from mbd_ros.files.table import Column, Result, Table
 
 HEAD = (

@@ -9,16 +9,14 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.impacts.impact_map import VelocityLevel
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.coupling_functions import Linear
-from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.couplings import Coupling, Couplings, Linear
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.multiplier_laws import bilateral, unilateral
-from mbd_ros.core.rows.constraint import Constraint, Row
+from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
+from mbd_ros.core.rows.constraint import Constraint, Row, bilateral, unilateral
+from mbd_ros.core.rows.constraint_rows import RowLayout
 from mbd_ros.core.rows.coupling_rows import CouplingRows
-from mbd_ros.core.rows.row_layout import RowLayout
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 from mbd_ros.parts.constraints.dry_friction import DryFriction

@@ -6,12 +6,12 @@ import pytest
 from mechanisms import joint, link, rod, scene_of, urdf
 from scipy.optimize import minimize
 
-from mbd_ros.core.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse_dynamics.efforts import joint_efforts
-from mbd_ros.core.projection.assembly import assemble, project, violation
-from mbd_ros.core.projection.state_projection import Measurement, StateProjector
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
+from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.methods.inverse_dynamics.efforts import joint_efforts
+from mbd_ros.methods.projection.assembly import assemble, project, violation
+from mbd_ros.methods.projection.state_projection import Measurement, StateProjector
 
 MASS, LEVER = 2.0, 0.3  # the centre of mass of the sleigh is a lever ahead of its edge
 ABOUT_COM = 3.0 * MASS * LEVER**2  # so that the path has a closed form

@@ -11,16 +11,12 @@ from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.locate import embedded_scenes
 from mbd_ros.view import surfaces
-from mbd_ros.view.arrows import arrow_ends, cone_lines
-from mbd_ros.view.contact_solids import solids_of_scene
+from mbd_ros.view.controls import Rerun, mp4
 from mbd_ros.view.curves import ALL, Curves, MotionCurves, cursor
-from mbd_ros.view.frames import COUPLING, Frames, tension_colours
-from mbd_ros.view.ground import upright
+from mbd_ros.view.drawing import equal_box, solids_of, solids_of_scene
+from mbd_ros.view.frames import COUPLING, Frames, arrow_ends, cone_lines, tension_colours, upright
 from mbd_ros.view.motion import still, viewed_motion
-from mbd_ros.view.pictures import mp4
-from mbd_ros.view.player import advanced, nearest_row
-from mbd_ros.view.rerun import Rerun
-from mbd_ros.view.solids import equal_box, solids_of
+from mbd_ros.view.page import advanced, nearest_row
 
 ARM = """
 <robot name="arm">

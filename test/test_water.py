@@ -6,9 +6,9 @@ import pytest
 import mbd_ros as mbd
 from mbd_ros.compiled.particles.molecule_steps import CompiledTriangles
 from mbd_ros.compiled.particles.pair_kernel import CompiledKernel
-from mbd_ros.core.particles.cluster import Cluster
-from mbd_ros.core.particles.particle_system import ParticleSystem
-from mbd_ros.core.particles.settle import SettledCluster
+from mbd_ros.methods.particles.particle_system import ParticleSystem
+from mbd_ros.methods.particles.rigid_bonds import Cluster
+from mbd_ros.methods.particles.settle import SettledCluster
 from mbd_ros.scene.particles.neighbour_tree import near_pairs
 
 # Benchmark problem P02: rigid SPC/E water in angstrom, ps and amu.

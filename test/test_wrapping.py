@@ -11,13 +11,12 @@ from scipy.integrate import quad, solve_ivp
 
 import mbd_ros as mbd
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.paths.wrapping.arcs import Placed
-from mbd_ros.core.paths.wrapping.cylinder import Cylinder
-from mbd_ros.core.paths.wrapping.ellipsoid import Ellipsoid
-from mbd_ros.core.paths.wrapping.routes import Reach, Router
-from mbd_ros.core.paths.wrapping.sphere import Sphere
-from mbd_ros.core.paths.wrapping.taut import taut
-from mbd_ros.core.paths.wrapping.torus import Torus
+from mbd_ros.core.kinematics.paths.cylinder import Cylinder
+from mbd_ros.core.kinematics.paths.ellipsoid import Ellipsoid
+from mbd_ros.core.kinematics.paths.sphere import Sphere
+from mbd_ros.core.kinematics.paths.torus import Torus
+from mbd_ros.core.kinematics.paths.wrap_surface import Placed
+from mbd_ros.core.kinematics.paths.wrapped_path import Reach, Router, taut
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.reading.path_entries import path_of

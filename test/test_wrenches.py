@@ -6,13 +6,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.core.loads.external_wrench import ExternalWrench
+from mbd_ros.core.loads.external_loads import ExternalWrench, WrenchBuffer, at_stamps
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.model.wrenches import WrenchBuffer, at_stamps
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.scene.schema import schema
 
 ARM = (Path(__file__).parents[1] / "config/robots/arm7.urdf").read_text(encoding="utf-8")

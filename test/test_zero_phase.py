@@ -12,15 +12,14 @@ from scipy.linalg import solveh_banded
 from test_offline import SCENES
 
 from mbd_ros.cli import main
-from mbd_ros.core.signals.banded import Banded
-from mbd_ros.core.signals.nested_splines import joined, parted
-from mbd_ros.core.signals.spectrum import spectrum
-from mbd_ros.core.signals.spline_basis import CellBasis
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags.spool import Spool, StampSpool
 from mbd_ros.files.tables.csv import read_table, write_table
+from mbd_ros.methods.signals.smoothing_spline import Banded
+from mbd_ros.methods.signals.spectrum import spectrum
+from mbd_ros.methods.signals.spline_basis import CellBasis, joined, parted
+from mbd_ros.motion.filters import chosen_cutoffs, low_passed, smoothed, zero_phase
 from mbd_ros.motion.long_stamps import Windows
-from mbd_ros.motion.zero_phase import chosen_cutoffs, low_passed, smoothed, zero_phase
 
 SECOND = 1_000_000_000
 TURN = 2 * np.pi

@@ -4,17 +4,17 @@ import mbd_ros
 
 CONTRACTS = {
     "Parts": (
-        "mbd_ros.core.contracts.parts",
-        "mbd_ros.core.contracts.sensor",
+        "mbd_ros.core.contracts",
+        "mbd_ros.core.contracts",
         "mbd_ros.core.rows.constraint",
     ),
-    "Laws of multipliers": ("mbd_ros.core.multiplier_laws",),
+    "Laws of multipliers": ("mbd_ros.core.rows.constraint",),
     "Values": ("mbd_ros.core.state",),
     "What parts ask and show": (
         "mbd_ros.core.kinematics.kinematics",
-        "mbd_ros.core.contracts.outputs",
+        "mbd_ros.core.contracts",
     ),
-    "Control laws": ("mbd_ros.core.control.contract",),
+    "Control laws": ("mbd_ros.methods.control.contract",),
     "Ranges and units of arguments": ("mbd_ros.core.ranges",),
     "Errors": ("mbd_ros.errors",),
 }

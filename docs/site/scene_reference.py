@@ -12,8 +12,8 @@ from docstrings import body, summary
 from tables import code, table
 
 from mbd_ros.core.ranges import ANY_NUMBER, LARGEST, SMALLEST, Within, described
-from mbd_ros.scene.schema.arguments import entries
 from mbd_ros.scene.schema.registry import PARTS, types_of
+from mbd_ros.scene.schema.schema import entries
 from mbd_ros.scene.schema.sections import SECTIONS, TASKS, Form, Section
 
 _HEAD = """\

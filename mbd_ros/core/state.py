@@ -1,10 +1,14 @@
-"""The values that flow between the parts."""
+"""Values that flow between parts and methods: states, memories, arrays of vectors."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+# ---- state ------------------------------------------------------------------------------------
+# The values that flow between the parts.
+
 
 Array = NDArray[np.float64]
 NANOSECOND = 1.0e-9  # s
@@ -112,3 +116,62 @@ class WrenchSamples(NamedTuple):
     stamps: NDArray[np.int64]
     wrench: Array
     frame_id: str = ""
+
+
+# ---- memory -----------------------------------------------------------------------------------
+# What is remembered from step to step, as a value that can be kept and pickled.
+
+
+Memory = dict[str, Any]
+
+
+def copied(value: Any) -> Any:
+    """A value with arrays of its own, in tuples too."""
+    if isinstance(value, np.ndarray):
+        return value.copy()
+    if isinstance(value, State):
+        return State(value.t, value.q.copy(), value.v.copy(), value.z.copy(), value.mode)
+    if isinstance(value, tuple):
+        return _like(value)(map(copied, value))
+    return value
+
+
+def recognised(value: Any, x: State) -> Any:
+    """The value; x itself in place of a state with the same bits, as steppers look for it."""
+    if isinstance(value, State):
+        return x if is_same(value, x) else value
+    if isinstance(value, tuple):
+        return _like(value)(recognised(each, x) for each in value)
+    return value
+
+
+def is_same(one: State, other: State) -> bool:
+    """Whether two states have the same bits."""
+    arrays = zip(one[1:4], other[1:4], strict=True)
+    return (
+        one.t == other.t
+        and one.mode == other.mode
+        and all(a.tobytes() == b.tobytes() for a, b in arrays)
+    )
+
+
+def _like(value: Any) -> Any:
+    """What makes a tuple, or a named one, of the same kind."""
+    return getattr(type(value), "_make", tuple)
+
+
+# ---- vectors ----------------------------------------------------------------------------------
+# Products of many vectors at once.
+
+
+def cross(a: Array, b: Array) -> Array:
+    """Products a x b of vectors in the last axis, broadcast; np.cross takes several times as long.
+
+    Args:
+        a: Shape (.., 3).
+        b: Shape (.., 3).
+    """
+    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return out

@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Sequence
 
-from mbd_ros.core.model.joints import BASE
+from mbd_ros.core.model.robot import BASE
 
 JOINT_STATES, ODOMETRY = "joint_states", "odometry"
 WORLD = "world"  # frame in which poses of free bodies are given

@@ -1,4 +1,4 @@
-"""Progress of a long loop, for people."""
+"""Lines and progress of a command, for people."""
 
 import sys
 import time
@@ -7,6 +7,12 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from multiprocessing import parent_process
 from typing import TypeVar
+
+from mbd_ros.errors import printable
+
+# ---- progress ---------------------------------------------------------------------------------
+# Progress of a long loop, for people.
+
 
 T = TypeVar("T")
 Watch = bool | Callable[[str, float], None]
@@ -106,3 +112,22 @@ def _watch() -> Watch:
 def _write(label: str, share: float) -> None:
     sys.stderr.write(f"\r{label} {int(100 * share)} %")
     sys.stderr.flush()
+
+
+# ---- lines ------------------------------------------------------------------------------------
+# Lines of a command for people.
+
+
+Say = Callable[[str], None]  # what is told such lines
+
+
+def say(line: str) -> None:
+    """Write a line to the output at once; names in it come from files of others."""
+    sys.stdout.write(f"{printable(line)}\n")
+    sys.stdout.flush()
+
+
+def say_all(lines: Iterable[str]) -> None:
+    """Write lines as they come."""
+    for line in lines:
+        say(line)

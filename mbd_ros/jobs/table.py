@@ -44,8 +44,8 @@ class CommandModule(Protocol):
 
 
 COMMANDS: Mapping[str, Command] = {
-    "check": Command("mbd_ros.features.scenes.check", "what a scene builds, leaves out and costs"),
-    "scenes": Command("mbd_ros.features.scenes.scenes", "the embedded scenes, with a line each"),
+    "check": Command("mbd_ros.features.tools.check", "what a scene builds, leaves out and costs"),
+    "scenes": Command("mbd_ros.features.tools.scenes", "the embedded scenes, with a line each"),
     "inverse": Command(
         "mbd_ros.features.inverse_dynamics.command", "torques and coupling forces of a motion"
     ),
@@ -93,7 +93,7 @@ COMMANDS: Mapping[str, Command] = {
         "periodic walking: multipliers, branches, basin of attraction",
     ),
     "follow": Command(
-        "mbd_ros.features.regulator.command",
+        "mbd_ros.features.control.command",
         "gains that lead a robot back to a motion, and how far off",
     ),
     "predict": Command(
@@ -117,7 +117,7 @@ COMMANDS: Mapping[str, Command] = {
         "mbd_ros.features.model_import.command", "a model of MuJoCo as a URDF and a scene"
     ),
     "params": Command("mbd_ros.nodes.command", "a parameter file of a node, with comments"),
-    "plot": Command("mbd_ros.features.plot.command", "a picture of a result"),
+    "plot": Command("mbd_ros.features.tools.plot", "a picture of a result"),
     "view": Command("mbd_ros.view.command", "a scene and its motion in a browser"),
     "demo": Command(
         "mbd_ros.applications.demo.command", "a simulated robot, controlled over topics: one page"
@@ -127,7 +127,7 @@ COMMANDS: Mapping[str, Command] = {
         "error against run time, stability and cost, on one page",
     ),
     "completion": Command(
-        "mbd_ros.features.completion.command", "a script that completes words in a shell"
+        "mbd_ros.features.tools.completion", "a script that completes words in a shell"
     ),
 }
 

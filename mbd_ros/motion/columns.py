@@ -1,21 +1,25 @@
-"""Columns of joints, free bodies and rows, and topics of a bag that hold them."""
+"""Columns of joints, free bodies and rows, and the axes they were recorded in."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import permutations, product
 from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Output
-from mbd_ros.core.kinematics.free_bases import world_pose
-from mbd_ros.core.kinematics.poses import with_steady_signs
-from mbd_ros.core.model.joints import Joint
-from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.names import without_multiplier
+from mbd_ros.core.contracts import Output, without_multiplier
+from mbd_ros.core.kinematics.poses import with_steady_signs, world_pose
+from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.state import Array, BodyMotion
+from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import motion_columns, residual_columns
+from mbd_ros.files.recording import SCREEN
 from mbd_ros.files.table import Column
 from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic
+
+# ---- columns ----------------------------------------------------------------------------------
+# Columns of joints, free bodies and rows, and topics of a bag that hold them.
+
 
 _UNITS = {  # quantity -> of a joint that turns, of one that slides
     "position": ("rad", "m"),
@@ -81,12 +85,12 @@ def carried_columns(robot: Robot, residual: Array) -> list[Column]:
 
 
 def body_topics(robot: Robot) -> dict[str, Any]:
-    """Topics of a bag with the motion of free bodies, see `files.bags.bag_streams`."""
+    """Topics of a bag with the motion of free bodies, see `files.bags.bag_writer`."""
     return {f"/{odometry_topic(base.name)}": {"body": base.name} for base in robot.bases}
 
 
 def state_topics(robot: Robot, quantities: Sequence[str]) -> dict[str, Any]:
-    """Topics of a bag with joint states, one a robot, see `files.bags.bag_streams`.
+    """Topics of a bag with joint states, one a robot, see `files.bags.bag_writer`.
 
     Args:
         robot: The robot.
@@ -118,7 +122,7 @@ def output_columns(outputs: Sequence[Output], values: Array) -> list[Column]:
 
 
 def force_topic(rows: Sequence[Row]) -> dict[str, Any]:
-    """Topic of a bag with multipliers, see `files.bags.bag_streams`; none without rows.
+    """Topic of a bag with multipliers, see `files.bags.bag_writer`; none without rows.
 
     Args:
         rows: As `RowLayout` names them.
@@ -136,3 +140,65 @@ def command_columns(names: Sequence[str], commands: Array) -> list[Column]:
     """
     pairs = zip(names, commands.T, strict=True)
     return [Column(f"{name}.command", column) for name, column in pairs]
+
+
+# ---- recorded axes ----------------------------------------------------------------------------
+# Axes of a recording, written as `x,z,-y`: the recorded axis along each axis of the scene.
+
+
+_AS_RECORDED = "x,y,z"
+_ACCEPTED = "accepted: three of x, y, z, -x, -y, -z, as x,z,-y, or screen"
+
+
+def axes_matrix(where: str, axes: str, screen: Sequence[str] = ()) -> Array:
+    """From recorded axes to those of the scene, shape (3, 3).
+
+    Args:
+        where: File and option, for messages.
+        axes: `x,z,-y` or the like; or `screen`.
+        screen: Recorded axes to the right and upwards on a screen, as `+X`, `+Z`, which `screen`
+            takes as x and y of the scene; empty where the recording does not say them.
+
+    Raises:
+        DataError: No axes, a mirror image, or a recording that does not say its own.
+    """
+    if axes == SCREEN:
+        if not screen:
+            raise DataError(f"{where} screen: it has no POINT:X_SCREEN, Y_SCREEN")
+        axes = _right_handed(where, screen)
+    names = [name.strip().lower().removeprefix("+") for name in axes.split(",")]
+    if sorted(name.removeprefix("-") for name in names) != ["x", "y", "z"]:
+        raise DataError(f"{where} {axes}: {_ACCEPTED}")
+    rows = _rows(names)
+    if np.linalg.det(rows) < 0.0:
+        raise DataError(f"{where} {axes} is a mirror image; {_ACCEPTED}")
+    return rows
+
+
+def other_axes() -> Iterator[tuple[str, Array]]:
+    """All turns by right angles but none, with their matrices."""
+    for order, signs in product(permutations("xyz"), product(("", "-"), repeat=3)):
+        names = [sign + axis for sign, axis in zip(signs, order, strict=True)]
+        rows, axes = _rows(names), ",".join(names)
+        if axes != _AS_RECORDED and np.linalg.det(rows) > 0.0:
+            yield axes, rows
+
+
+def _rows(names: Sequence[str]) -> Array:
+    """A unit vector a name."""
+    rows = np.zeros((3, 3))
+    for i, name in enumerate(names):
+        rows[i, "xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
+    return rows
+
+
+def _right_handed(where: str, screen: Sequence[str]) -> str:
+    """Three axes, the last one square to what a screen shows."""
+    names = [name.strip().lower().removeprefix("+") for name in screen]
+    rest = set("xyz") - {name.removeprefix("-") for name in names}
+    if len(rest) != 1 or not all(name.removeprefix("-") in ("x", "y", "z") for name in names):
+        told = ", ".join(screen)
+        raise DataError(f"{where} screen: POINT:X_SCREEN, Y_SCREEN are {told}, accepted: +X, +Z")
+    last = rest.pop()
+    sign = "" if np.linalg.det(_rows([*names, last])) > 0.0 else "-"
+    return ",".join([*names, sign + last])

@@ -8,16 +8,20 @@ stays flat for a while and after which no motion comes up.
 """
 
 import functools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.signals.long_products import product
-from mbd_ros.core.signals.spectrum import FEWEST_TELLING, Spectrum, spectrum
-from mbd_ros.core.signals.spline_low_pass import HIGHEST, rate_of, response
 from mbd_ros.core.state import Array
+from mbd_ros.methods.signals.smoothing_spline import HIGHEST, rate_of, response
+from mbd_ros.methods.signals.spectrum import FEWEST_TELLING, Spectrum, spectrum
+from mbd_ros.methods.signals.spline_basis import product
+
+# ---- cutoff -----------------------------------------------------------------------------------
+# Where motion ends and noise begins: the cut-off frequency that a recording asks for.
+
 
 LOWEST = 2.0  # Hz: below, even a poor encoder gives no acceleration worth mentioning
 _RATIO = np.sqrt(2.0)  # from band to band
@@ -203,3 +207,45 @@ def _first_of_noise(bands: Bands, density: Array, signal: Callable[[], Array]) -
 
 def _is_flat(rising: NDArray[np.float64]) -> bool:
     return bool((rising[1:] > rising[0]).all() and rising[-1] > _RISE * rising[0])
+
+
+# ---- cutoff lines -----------------------------------------------------------------------------
+# What is said of the low-pass of a motion.
+
+
+_FEW = 256  # samples in which noise may hide
+
+
+def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int) -> Iterator[str]:
+    """Lines about the low-pass of each joint.
+
+    Args:
+        cutoff: That of the result of `zero_phase`.
+        names: Of the joints.
+        chosen: Whether the recording asked for it, not the user.
+        samples: Number of them.
+    """
+    source = "from the noise of the recording" if chosen else "as asked for"
+    smoothed = np.flatnonzero(np.isfinite(cutoff))
+    if smoothed.size:
+        low, high = (pick(smoothed, key=cutoff.__getitem__) for pick in (min, max))
+        span = f"{cutoff[low]:.3g} Hz"
+        if cutoff[high] > cutoff[low]:
+            span += f" ({names[low]}) to {cutoff[high]:.3g} Hz ({names[high]})"
+        yield f"zero-phase derivatives: low-pass of half power at {span}, {source}"
+    lowest = [name for name, f in zip(names, cutoff, strict=True) if chosen and f <= LOWEST]
+    if lowest:
+        yield (
+            f"warning: zero-phase derivatives: {LOWEST:g} Hz is the lowest cut-off that is chosen "
+            f"({', '.join(lowest)}); where a recording is short or noisy, motion above it is "
+            "lost: compare with --cutoff"
+        )
+    sharp = [name for name, f in zip(names, cutoff, strict=True) if np.isinf(f)]
+    if sharp:
+        why = "no noise is found" if chosen else "the sampling rate is too low for that cut-off"
+        if chosen and samples < FEWEST_TELLING:
+            why = f"{samples} samples are too few to tell noise from motion (--cutoff smooths)"
+        elif chosen and samples < _FEW:
+            why = f"no noise is found in {samples} samples, few to see it in (--cutoff smooths)"
+        warning = "warning: " * (chosen and samples < _FEW)
+        yield f"{warning}zero-phase derivatives: not smoothed, since {why}: {', '.join(sharp)}"

@@ -6,16 +6,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.inverse_dynamics.joint_observer import Observations, Tuning
-from mbd_ros.core.kinematics.free_bases import IndependentCoordinates, configuration_of
-from mbd_ros.core.kinematics.poses import POSE, TWIST, acceleration_of, rate_of, twist_of
-from mbd_ros.core.signals.local_polynomials import local_polynomials
+from mbd_ros.core.kinematics.poses import (
+    POSE,
+    TWIST,
+    IndependentCoordinates,
+    acceleration_of,
+    configuration_of,
+    rate_of,
+    twist_of,
+)
 from mbd_ros.core.state import Array, BodyMotion, Motion
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION as ACCELERATION_WORDS
 from mbd_ros.files.body_columns import POSE as POSE_WORDS
 from mbd_ros.files.body_columns import TWIST as TWIST_WORDS
 from mbd_ros.files.body_columns import names_of
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations, Tuning
+from mbd_ros.methods.signals.differentiation import local_polynomials
 from mbd_ros.scene.built_scene import Scene
 
 # Free bodies of a recording as signals that are filtered without lag.
@@ -155,7 +162,7 @@ def differentiate(
 
 def _splined(scene: Scene, where: str, motion: Motion, derivatives: Derivatives) -> Differentiated:
     """Samples as OpenSim has them, from positions alone; their times may be others."""
-    from mbd_ros.core.signals.opensim_splines import opensim_splines  # loads scipy
+    from mbd_ros.methods.signals.opensim_splines import opensim_splines  # loads scipy
 
     if motion.bodies:
         names = ", ".join(body.name for body in motion.bodies)
@@ -224,8 +231,8 @@ def _without_lag(
         fitted = local_polynomials(stamps, position, velocity, half_width=width)
         whole, cutoff, said = (position, *fitted), None, list[str]()
     else:
-        from mbd_ros.motion.cutoff_lines import cutoff_lines
-        from mbd_ros.motion.zero_phase import zero_phase
+        from mbd_ros.motion.cutoff import cutoff_lines
+        from mbd_ros.motion.filters import zero_phase
 
         *found, cutoffs = zero_phase(stamps, position, velocity, cutoff=derivatives.cutoff)
         chosen = derivatives.cutoff is None

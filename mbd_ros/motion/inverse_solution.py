@@ -1,20 +1,437 @@
-"""A recorded motion with everything that explains it."""
+"""Recorded motions -> efforts and multipliers: open chains, and mechanisms with loops."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError
-from mbd_ros.jobs.lines import Say
-from mbd_ros.motion import closed_chains as loops
-from mbd_ros.motion import open_chains
-from mbd_ros.motion.explained_motion import Way
+import numpy as np
+
+from mbd_ros.core.dynamics.output_values import Showing
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.loads.loads import Loads
+from mbd_ros.core.rows.constraint import Constraint
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
+from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.core.thresholds import TOGGLE
+from mbd_ros.errors import DataError, SolveError
+from mbd_ros.files.table import Column
+from mbd_ros.jobs.progress import Say, progress
+from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import TorqueComponents, Torques
+from mbd_ros.methods.inverse_dynamics.power import Exerted, PowerBalance
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
+from mbd_ros.motion.columns import (
+    body_columns,
+    body_topics,
+    carried_columns,
+    force_topic,
+    joint_columns,
+    output_columns,
+    state_topics,
+    whole_bodies,
+)
 from mbd_ros.motion.recordings import name_of
 from mbd_ros.motion.samples import Observed, Task, loads_of_laboratory, observe_motion
 from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
-    from mbd_ros.motion.contact_forces import KnownContact
-    from mbd_ros.motion.unmeasured_contacts import Ground
+    from mbd_ros.methods.inverse_dynamics.force_split import Wish
+    from mbd_ros.motion.unmeasured_contacts import Ground, KnownContact
+
+
+# ---- explained motion -------------------------------------------------------------------------
+# A motion with what explains it, and the power of that.
+
+
+class Explained(NamedTuple):
+    """What explains a motion.
+
+    Attributes:
+        rows: Those of the multipliers.
+        driven: Joints whose efforts are given.
+        count: How many samples there are.
+        motions: Gives, sample by sample, state, accelerations and what acts.
+    """
+
+    rows: ConstraintRows
+    driven: Sequence[str]
+    count: int
+    motions: Callable[[], Iterator[tuple[State, Array, Exerted]]]
+
+
+class Way(NamedTuple):
+    """What a way to solve a motion gives.
+
+    Attributes:
+        columns: Of motion, efforts and multipliers.
+        remarks: Lines for people.
+        explained: The same as states and forces.
+    """
+
+    columns: list[Column]
+    remarks: list[str]
+    explained: Explained
+
+
+def power_columns(
+    scene: Scene, explained: Explained, wrenches: Sequence[Array], contacts: Collection[str]
+) -> tuple[list[Column], str]:
+    """Columns of powers, and a line about their balance.
+
+    Args:
+        scene: The scene.
+        explained: What explains its motion.
+        wrenches: One (n, 6) array for every load of the scene.
+        contacts: Names of the loads that are forces of contacts.
+    """
+    rows, driven, count, motions = explained
+    loads = scene.wrenches
+    balance = PowerBalance(scene.robot, rows, driven, loads, scene.acting, contacts)
+    values = np.array(
+        [
+            balance.values(*motion, [load[i] for load in wrenches])
+            for i, motion in enumerate(progress(motions(), count, "power"))
+        ]
+    )
+    columns = output_columns(balance.outputs, values)
+    return columns, _balance_line(columns)
+
+
+def _balance_line(columns: Sequence[Column]) -> str:
+    """How far the powers are from the rate of the kinetic energy."""
+    named = {column.name: column.values for column in columns}
+    sums = [v for name, v in named.items() if name.startswith("power.") and "energy" not in name]
+    off = float(np.abs(named["power.residual"]).max())
+    largest = max(float(np.abs(values).max()) for values in sums)
+    return f"power: balance off by at most {off:.2g} W, the largest sum is {largest:.4g} W"
+
+
+# ---- open chains ------------------------------------------------------------------------------
+# Torques of open chains, coupled or not: many samples at once.
+
+
+_CHUNK = 1000  # samples between two signs of progress
+
+
+def solve_open(
+    scene: Scene, where: str, samples: Observations, wrenches: Sequence[Array], task: Task
+) -> Way:
+    """Torques of the independent joints, multipliers of the dependent ones, residuals of bodies.
+
+    Args:
+        scene: A scene without loops.
+        where: Source of the motion, for the messages.
+        samples: The observations.
+        wrenches: One (n, 6) array for every load of the scene.
+        task: Says whether torque components are asked for.
+
+    Returns:
+        Columns of motion and torques, no remarks, and what explains the motion.
+    """
+    chains = OpenChains(scene, task.parts)
+    solved = chains.solved(samples, wrenches)
+    columns = chains.columns_of(samples, wrenches, solved)
+    return Way(columns, [], chains.explained(samples, solved))
+
+
+class OpenChains:
+    """Torques of a scene without loops.
+
+    Args:
+        scene: The scene.
+        with_parts: Also give the torque components.
+    """
+
+    def __init__(self, scene: Scene, with_parts: bool) -> None:
+        self._scene, self._with_parts = scene, with_parts
+        self._solver = scene.inverse_dynamics()
+        self._at = IndependentCoordinates(scene.robot, self._solver.couplings)
+        couplings = scene.couplings
+        rows = [CouplingRows(scene.robot, couplings)] if couplings.dependent else []
+        self._layout = RowLayout(rows)
+        self._showing = Showing(Kinematics(scene.robot), self._layout, scene.forces)
+
+    def columns(self, samples: Observations, wrenches: Sequence[Array]) -> list[Column]:
+        """Columns of the motion and the torques; arguments as those of `solve`."""
+        return self.columns_of(samples, wrenches, self.solved(samples, wrenches))
+
+    def solved(self, samples: Observations, wrenches: Sequence[Array]) -> Torques:
+        """Torques of all samples; arguments as those of `solve`."""
+        solver, (z, v, a) = self._solver, samples[1:4]
+        chunks = [slice(i, i + _CHUNK) for i in range(0, len(z), _CHUNK)]
+        solved = [
+            solver.batch(z[part], v[part], a[part], [w[part] for w in wrenches])
+            for part in progress(chunks, len(chunks), "solving")
+        ]
+        tau, multipliers = (np.concatenate([each[i] for each in solved]) for i in (0, 1))
+        residual = np.concatenate([each.residual.reshape(len(each.tau), -1) for each in solved])
+        return Torques(tau, multipliers, solved[0].rank, residual)
+
+    def columns_of(
+        self, samples: Observations, wrenches: Sequence[Array], solved: Torques
+    ) -> list[Column]:
+        """Columns of the motion and of torques that were found."""
+        solver, robot, at = self._solver, self._scene.robot, self._at
+        (z, v, a), (tau, multipliers, _, residual) = samples[1:4], solved[:4]
+        found = {"position": z, "velocity": v, "acceleration": a, "effort": tau}
+        if self._with_parts:
+            found |= self._causes(samples, wrenches)
+        free, columns = [robot.joint(name) for name in solver.couplings.independent], []
+        for field, values in found.items():
+            mine = at.joint_y if field == "position" else at.joint_w
+            columns += joint_columns(free, field, values[:, mine])
+        bodies = [(z[:, y], v[:, w], a[:, w]) for y, w in zip(at.body_y, at.body_w, strict=True)]
+        columns += [*body_columns(robot, bodies), *carried_columns(robot, residual)]
+        return [*columns, *self._shown(samples, multipliers)]
+
+    def _causes(self, samples: Observations, wrenches: Sequence[Array]) -> dict[str, Array]:
+        """Torques by cause."""
+        each = zip(*samples[1:4], *wrenches, strict=True)
+        rows = progress(each, len(samples.stamps), "components")
+        causes = [self._solver.components(*row[:3], row[3:]) for row in rows]
+        names = TorqueComponents._fields
+        return {name: np.array([c[i] for c in causes]) for i, name in enumerate(names)}
+
+    def explained(self, samples: Observations, solved: Torques) -> Explained:
+        """The motion of all joints, and what explains it."""
+        couplings, robot = self._scene.couplings, self._scene.robot
+        rows = ConstraintRows(self._layout.blocks, robot.model.nv)
+        index = couplings.v_index
+        carried = np.isin(index, robot.base_v)
+
+        def motions() -> Iterator[tuple[State, Array, Exerted]]:
+            each = zip(self._states(samples), *solved[:2], strict=True)
+            for (x, a), tau, multipliers in each:
+                efforts, residual = np.zeros(robot.model.nv), np.zeros(robot.model.nv)
+                efforts[index], residual[index] = np.where(
+                    carried, (0.0 * tau, tau), (tau, 0.0 * tau)
+                )
+                yield x, a, Exerted(efforts, residual, multipliers)
+
+        return Explained(rows, couplings.independent, len(samples.stamps), motions)
+
+    def _states(self, samples: Observations) -> Iterator[tuple[State, Array]]:
+        """States and accelerations of all joints."""
+        robot, couplings = self._scene.robot, self._scene.couplings
+        for sample in samples.each():
+            q, v, a = robot.neutral().copy(), np.zeros(robot.model.nv), np.zeros(robot.model.nv)
+            q[couplings.q_index], v[couplings.v_index], a[couplings.v_index] = sample[1:4]
+            couplings.expand(q, v, a)
+            yield State(sample.stamp * NANOSECOND, q, v), a
+
+    def _shown(self, samples: Observations, multipliers: Array) -> list[Column]:
+        """Columns of multipliers and of what forces show."""
+        scene, showing = self._scene, self._showing
+        if len(showing.numbers) == multipliers.shape[1]:
+            return output_columns(showing.numbers, multipliers)
+        u = Loads(scene.robot.model.nv, scene.forces, scene.actuators).idle
+        pairs = zip(self._states(samples), multipliers, strict=True)
+        shown = [showing.at(x, u, a, lam) for (x, a), lam in pairs]
+        return output_columns(showing.numbers, np.array(shown))
+
+
+def topics(scene: Scene) -> dict[str, Any]:
+    """Topics of a bag, see `files.bags.bag_writer`."""
+    return {
+        "/joint_torques": {field: field for field in ("effort", "position", "velocity")},
+        **body_topics(scene.robot),
+        "/constraint_forces": {"effort": "multiplier"},
+    }
+
+
+class Violations:
+    """How far the dependent joints are off their couplings, or that nobody measured them.
+
+    Args:
+        scene: The scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._off = np.zeros(len(scene.couplings.dependent))  # NaN where not measured
+
+    def add(self, samples: Observations) -> None:
+        """Look at more samples."""
+        couplings, robot = self._scene.couplings, self._scene.robot
+        if not couplings.dependent:
+            return
+        q = np.zeros((robot.model.nq, len(samples.stamps)))
+        q[couplings.q_index] = samples.position.T
+        couplings.expand(q, np.zeros_like(q), np.zeros_like(q))
+        coupled = q[[robot.joint(name).q for name in couplings.dependent]].T
+        measured = np.where(np.isfinite(samples.dependent), samples.dependent, np.nan)
+        self._off = np.maximum(self._off, np.abs(measured - coupled).max(axis=0))
+
+    def lines(self) -> Iterator[str]:
+        """A line for each joint."""
+        for name, off in zip(self._scene.couplings.dependent, self._off, strict=True):
+            if np.isnan(off):
+                yield f"{name} is reconstructed from {self._scene.coupling_kinds[name]}"
+            else:
+                yield f"{name} is off its coupling by at most {off:.3g}"
+
+
+# ---- closed chains ----------------------------------------------------------------------------
+# Efforts and multipliers of recorded motions of mechanisms with loops.
+
+
+def solve_closed(
+    scene: Scene,
+    where: str,
+    samples: Observations,
+    wrenches: Sequence[Array],
+    task: Task,
+    ground: "Ground | None" = None,
+) -> Way:
+    """Efforts and multipliers of observations.
+
+    Args:
+        scene: A scene with loops.
+        where: Source of the motion, for the messages.
+        samples: The observations.
+        wrenches: One (n, 6) array for every load of the scene.
+        task: Says whether efforts and multipliers keep their bounds.
+        ground: Contacts of unknown force.
+
+    Returns:
+        Columns of all joints, of the efforts and of the multipliers, remarks, and what explains
+        the motion.
+
+    Raises:
+        SolveError: The mechanism cannot be assembled, or the actuators cannot produce the motion;
+            names the time.
+    """
+    contacts = {} if ground is None else {"contacts": ground.contacts, "near": ground.task.near}
+    observed = scene.inverse_dynamics(with_bounds=task.bounds, **contacts)
+    inverse, states, off = observed.inverse, [], []
+    for sample in samples.each():
+        t = sample.stamp * NANOSECOND
+        measured, given = observed.measured(t, *sample[1:4])
+        with _said(where, t):
+            x, a = inverse.consistent(measured, given)
+        states.append((x, a))
+        moves = x.q - measured.q, x.v - measured.v, a - given
+        off.append([np.abs(move).max(initial=0.0) for move in moves])
+    standing = None
+    if ground is not None:
+        from mbd_ros.motion.unmeasured_contacts import (
+            smooth_transitions,
+            stance_lines,
+            standing_in,
+        )
+
+        standing = standing_in(inverse, ground, states)
+
+    def solved_at(i: int, wish: "Wish | None" = None) -> Torques:
+        here = None if standing is None else standing[i]
+        with _said(where, states[i][0].t):
+            return inverse.solve(*states[i], [load[i] for load in wrenches], here, wish)
+
+    solved = [solved_at(i) for i in progress(range(len(states)), len(states), "solving")]
+    remarks = list(_remarks(np.max(off, axis=0), samples.stamps, solved))
+    if ground is not None and standing is not None:
+        passed = ""
+        if ground.task.method == "smooth":
+            passed = smooth_transitions(inverse, states, standing, solved, solved_at)
+        remarks += stance_lines(inverse, ground, standing, solved, passed)
+    columns = _columns(scene, inverse, states, solved)
+    return Way(columns, remarks, _explained(inverse, states, solved))
+
+
+def _explained(
+    inverse: ClosedLoopInverseDynamics,
+    states: Sequence[tuple[State, Array]],
+    solved: Sequence[Torques],
+) -> Explained:
+    """Motions with what explains them."""
+
+    def motions() -> Iterator[tuple[State, Array, Exerted]]:
+        for (x, a), each in zip(states, solved, strict=True):
+            efforts = inverse.columns(x).dot(each.tau)
+            yield x, a, Exerted(efforts, inverse.carried(each), each.multipliers)
+
+    return Explained(inverse.constraints, inverse.efforts.names, len(states), motions)
+
+
+def _columns(
+    scene: Scene,
+    inverse: ClosedLoopInverseDynamics,
+    states: Sequence[tuple[State, Array]],
+    solved: Sequence[Torques],
+) -> list[Column]:
+    """Columns of motions, each with its accelerations, and of what was solved for."""
+    q, v, a = (np.array(each) for each in zip(*((x.q, x.v, a) for x, a in states), strict=True))
+    joints = scene.robot.joints
+    at_q, at_v = [joint.q for joint in joints], [joint.v for joint in joints]
+    effort = np.array([each.tau for each in solved])
+    showing = _showing(scene, inverse.constraints.parts)
+    u = Loads(scene.robot.model.nv, scene.forces, scene.actuators).idle
+    shown = [
+        showing.at(x, u, a, each.multipliers) for (x, a), each in zip(states, solved, strict=True)
+    ]
+    driven, free = (
+        [scene.robot.joint(name) for name in names]
+        for names in (inverse.efforts.names, inverse.carriers)
+    )
+    carried = np.array([each.carried for each in solved]).reshape(len(solved), -1)
+    return [
+        *joint_columns(joints, "position", q[:, at_q]),
+        *joint_columns(joints, "velocity", v[:, at_v]),
+        *joint_columns(joints, "acceleration", a[:, at_v]),
+        *joint_columns(driven, "effort", effort),
+        *joint_columns(free, "residual", carried),
+        *body_columns(scene.robot, whole_bodies(scene.robot, q, v, a)),
+        *carried_columns(scene.robot, np.array([each.residual for each in solved])),
+        *output_columns(showing.numbers, np.array(shown)),
+    ]
+
+
+@contextmanager
+def _said(where: str, t: float) -> Iterator[None]:
+    """Errors of a sample name source and time."""
+    try:
+        yield
+    except SolveError as error:
+        raise SolveError(f"{where}: at {t:.9g} s: {error}") from error
+
+
+def loop_topics(scene: Scene, contacts: Collection[str] = ()) -> dict[str, Any]:
+    """Topics of a bag, see `files.bags.bag_writer`."""
+    rows = scene.closed_loop(contacts=contacts).constraints.rows
+    states = state_topics(scene.robot, ("position", "velocity"))
+    return {**topics(scene), **force_topic(rows), **states}
+
+
+def _showing(scene: Scene, constraints: Sequence[Constraint]) -> Showing:
+    """What parts show of a motion; `constraints` in the order of the multipliers."""
+    return Showing(Kinematics(scene.robot), RowLayout(constraints), scene.forces)
+
+
+def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[Torques]) -> Iterator[str]:
+    yield (
+        f"moved onto the constraints by at most {off[0]:.3g} rad or m, {off[1]:.3g} per s, "
+        f"{off[2]:.3g} per s^2"
+    )
+    widest = max(solved, key=lambda each: each.null_space)
+    if widest.undetermined:
+        yield (
+            f"null space of dimension {widest.null_space}: {listed(widest.undetermined)} are "
+            "not determined, smallest norm taken"
+        )
+    worst = int(np.argmax([each.condition for each in solved]))
+    condition = solved[worst].condition
+    if condition > TOGGLE:
+        yield (
+            f"condition number {condition:.2g} at {stamps[worst] * NANOSECOND:.9g} s: near a "
+            "toggle, multipliers are unreliable there"
+        )
+
+
+# ---- inverse solution -------------------------------------------------------------------------
+# A recorded motion with everything that explains it.
 
 
 class Solved(NamedTuple):
@@ -62,9 +479,9 @@ def solve_motion(scene: Scene, task: Task, say: Say) -> Solved:
     if has_loops:
         if ground is not None:
             ground = ground.told(scene, task.motion, observed)
-        way = loops.solve(scene, where, samples, wrenches, task, ground)
+        way = solve_closed(scene, where, samples, wrenches, task, ground)
     else:
-        way = open_chains.solve(scene, where, samples, wrenches, task)
+        way = solve_open(scene, where, samples, wrenches, task)
     contacts = {one for one in scene.wrenches if one not in given}
     return Solved(scene, observed, wrenches, contacts, known, ground, has_loops, way)
 
@@ -77,7 +494,7 @@ def _known_contacts(
         if task.stance is not None:
             raise DataError(f"{scene.name}: --stance goes with scenes with rigid contacts")
         return scene, [], None
-    from mbd_ros.motion.contact_forces import known_contacts  # only where something touches
+    from mbd_ros.motion.unmeasured_contacts import known_contacts  # only where something touches
 
     tell = say if task.stance is None else lambda text: None
     scene, known = known_contacts(scene, task.motion, task.topic, tell)
@@ -95,7 +512,7 @@ def _with_contacts(
     """The scene with known contacts among its loads, and the values of all loads."""
     if not known:
         return scene, observed.wrenches
-    from mbd_ros.motion.contact_forces import contact_loads
+    from mbd_ros.motion.unmeasured_contacts import contact_loads
 
     loads, wrenches = contact_loads(scene, known, observed.motion, observed.samples)
     every = {**scene.wrenches, **loads}

@@ -8,9 +8,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.signals.spline_low_pass import FEWEST, PERIODS, LowPass, Stretch
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
+from mbd_ros.methods.signals.smoothing_spline import FEWEST, PERIODS, LowPass, Stretch
 
 _GAP = 0.5  # s without a sample, and as many usual steps as below: nothing leads across
 _GAP_STEPS = 20

@@ -6,18 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.contracts.parts import Part
+from mbd_ros.core.contracts import Part
 from mbd_ros.core.dynamics.output_values import Showing
-from mbd_ros.core.dynamics.phase_queries import during, phase_names
-from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.system import System, during, phase_names
 from mbd_ros.core.loads.inputs import command_names
-from mbd_ros.core.projection.assembly import violation
-from mbd_ros.core.simulation.shown_accelerations import Seen, seen_at
-from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, MbdError, SolveError
-from mbd_ros.files.table import Column, Table
-from mbd_ros.files.times import TIME
+from mbd_ros.files.table import TIME, Column, Table
+from mbd_ros.methods.projection.assembly import violation
+from mbd_ros.methods.simulation.simulation import Seen, Simulation, seen_at
 from mbd_ros.motion.columns import (
     body_columns,
     body_topics,
@@ -38,7 +35,7 @@ BALANCE = {  # column -> what messages call it, unit
 
 
 def topics_of(system: System) -> dict[str, Any]:
-    """Topics of a bag, see `files.bags.bag_streams`."""
+    """Topics of a bag, see `files.bags.bag_writer`."""
     return {
         **state_topics(system.robot, ("position", "velocity", "effort")),
         **body_topics(system.robot),

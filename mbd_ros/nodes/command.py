@@ -4,7 +4,7 @@ import argparse
 from importlib import import_module
 
 from mbd_ros.errors import OK
-from mbd_ros.jobs.lines import say_all
+from mbd_ros.jobs.progress import say_all
 from mbd_ros.nodes.table import NODES
 
 

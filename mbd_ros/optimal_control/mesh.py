@@ -1,5 +1,7 @@
-"""Intervals of a phase, and the numbers of what is unknown on them."""
+"""Intervals of a phase, and the next mesh."""
 
+import itertools
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -8,6 +10,10 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 from mbd_ros.optimal_control.collocation import Collocation, collocation
+
+# ---- mesh -------------------------------------------------------------------------------------
+# Intervals of a phase, and the numbers of what is unknown on them.
+
 
 Numbers = NDArray[np.intp]
 
@@ -75,3 +81,147 @@ def mesh_of(
     moves = np.zeros(len(degrees), dtype=np.bool_) if free is None else np.array(free, dtype=bool)
     whole = np.asarray(widths, dtype=np.float64)
     return Mesh(scheme, np.array(degrees, dtype=np.intp), whole / whole.sum(), moves)
+
+
+# ---- bound structure --------------------------------------------------------------------------
+# Where bounds begin and cease to be active: there inputs jump or bend, and nodes should stand.
+#
+# A polynomial cannot follow a jump within an interval, and its error does not show, since the
+# motion
+# is exact for the inputs that it has. So a node is put near every change, and moves with the
+# motion
+# to where it costs least.
+
+
+Status = NDArray[np.int_]  # -1 at a lower bound, 1 at an upper one, else 0
+
+_UNKNOWN = 2  # no status: differs from all others
+_MOST = 24  # changes in a phase: more of them are no structure
+_SHORTEST = 1.0e-7  # of a phase
+_WIDEST = 0.7  # of an interval that is to be split: the widest part that is left of it
+_AT_NODE = 0.02  # of an interval: a change so near to a node is at it
+
+
+def changes(mesh: Mesh, status: Status, inputs: Array) -> list[float]:
+    """Where bounds of inputs change, as shares of the duration, in order.
+
+    Args:
+        mesh: The intervals.
+        status: At every point, inputs first, shape (m, k).
+        inputs: Values at every point, shape (m, nu).
+
+    Returns:
+        Nothing where there are more than a structure has.
+    """
+    shares, found = mesh.shares, set[float]()
+    interval = np.repeat(np.arange(mesh.intervals), mesh.degrees)
+    for k in range(inputs.shape[1]):
+        for i in np.flatnonzero(np.diff(status[:, k])):
+            one, other = int(interval[i]), int(interval[i + 1])
+            if one != other:
+                found.add(float(mesh.knots[other]))
+            elif status[i, k] * status[i + 1, k] < 0:
+                found.add(_jump(mesh, one, inputs[:, k]))
+            else:
+                found.add(float(0.5 * (shares[i] + shares[i + 1])))
+    return sorted(found) if len(found) <= _MOST else []
+
+
+def bracketed(mesh: Mesh, status: Status, begins: Status, wanted: NDArray[np.bool_]) -> Mesh:
+    """The mesh with nodes on both sides of where bounds of states change.
+
+    A node that moves to where it costs least would move to where the motion passes its bound
+    between two points; these intervals shrink instead.
+
+    Args:
+        mesh: The intervals.
+        status: Of states at every point, shape (m, k).
+        begins: Of states at the first node of every interval, shape (n, j), j <= k.
+        wanted: Which intervals are to be split, and for which bounds, shape (n, k).
+    """
+    interval = np.repeat(np.arange(mesh.intervals), mesh.degrees)
+    owner = np.insert(interval, mesh.first_points[:-1], np.arange(mesh.intervals))
+    shares = np.insert(mesh.shares, mesh.first_points[:-1], mesh.knots[:-1])
+    every = np.insert(status, mesh.first_points[:-1], _at_begins(mesh, status, begins), axis=0)
+    knots = list(zip(mesh.knots[:-1].tolist(), mesh.degrees.tolist(), strict=True))
+    ends = np.diff(every, axis=0).astype(np.bool_) & (wanted[owner[:-1]] | wanted[owner[1:]])
+    for i in np.flatnonzero(ends.any(axis=1)):
+        knots += [(float(shares[k]), int(mesh.degrees[owner[k]])) for k in (i, i + 1)]
+    for i in np.flatnonzero(wanted.any(axis=1)):
+        inner = [one for one, _ in knots if mesh.knots[i] <= one <= mesh.knots[i + 1]]
+        if np.diff(sorted([*inner, mesh.knots[i + 1]])).max() > _WIDEST * mesh.widths[i]:
+            middle = 0.5 * (mesh.knots[i] + mesh.knots[i + 1])
+            knots.append((float(middle), int(mesh.degrees[i])))
+    kept = [one for one in sorted(set(knots)) if one[0] <= 1.0 - _SHORTEST]
+    kept = kept[:1] + [two for one, two in itertools.pairwise(kept) if two[0] - one[0] > _SHORTEST]
+    places = np.array([*(one for one, _ in kept), 1.0])
+    return mesh_of(mesh.scheme, [degree for _, degree in kept], np.diff(places))
+
+
+def _at_begins(mesh: Mesh, status: Status, begins: Status) -> Status:
+    """Status at the first nodes; columns that are unknown there change if neighbours differ."""
+    first = mesh.first_points[:-1]
+    after, before = status[first], status[np.maximum(first - 1, 0)]
+    found = np.where(after == before, after, _UNKNOWN)
+    found[0] = after[0]
+    found[:, : begins.shape[1]] = begins
+    return found
+
+
+def with_knots(mesh: Mesh, shares: list[float]) -> Mesh:
+    """The mesh with a node that may move at each of some places."""
+    knots, degrees, moving = mesh.knots.tolist(), mesh.degrees.tolist(), set[float]()
+    for share in shares:
+        i = int(np.clip(np.searchsorted(knots, share, side="right") - 1, 0, len(degrees) - 1))
+        near = min((knots[i], knots[i + 1]), key=lambda one: abs(one - share))
+        if abs(near - share) > _AT_NODE * (knots[i + 1] - knots[i]):
+            knots.insert(i + 1, share)
+            degrees.insert(i + 1, degrees[i])
+            near = share
+        if 0.0 < near < 1.0:
+            moving.add(near)
+    free = np.array([knot in moving for knot in knots[1:]], dtype=np.bool_)
+    return Mesh(mesh.scheme, np.array(degrees, dtype=np.intp), np.diff(knots), free)
+
+
+def is_settled(mesh: Mesh, shares: list[float]) -> bool:
+    """Whether every change is at a node that may move."""
+    moving = mesh.knots[1:][mesh.free]
+    return all(np.abs(moving - share).min(initial=np.inf) < 1.0e-9 for share in shares)
+
+
+def _jump(mesh: Mesh, interval: int, values: Array) -> float:
+    """Where an input would jump between the values that it has at the ends of an interval."""
+    own = slice(*mesh.first_points[interval : interval + 2])
+    some = values[own]
+    mean = float(mesh.scheme_of(int(mesh.degrees[interval])).b @ some)
+    inside = np.clip((mean - some[-1]) / (some[0] - some[-1]), 0.0, 1.0)
+    return float(mesh.knots[interval] + mesh.widths[interval] * inside)
+
+
+# ---- refinement -------------------------------------------------------------------------------
+# The next mesh from the errors of a motion on the last one.
+
+
+_MOST_PARTS = 4  # of one interval at once: an estimate far from its limit says no more
+_SAFE = 0.5  # of the tolerance: what a refined interval aims at
+_REFINEMENT_SHORTEST = 1.0e-7  # of a phase: jumps are not resolved any further
+
+
+def refined(mesh: Mesh, errors: Array, tolerance: float) -> Mesh:
+    """Intervals whose error is too large are split, by the order of their method.
+
+    Args:
+        mesh: The mesh.
+        errors: Relative error of each interval, shape (n,).
+        tolerance: What is accepted.
+    """
+    degrees, widths = list[int](), list[float]()
+    for degree, width, error in zip(mesh.degrees, mesh.widths, errors, strict=True):
+        parts = 1
+        if error > tolerance and width > _REFINEMENT_SHORTEST:
+            wanted = (error / (_SAFE * tolerance)) ** (1.0 / (degree + 1))
+            parts = min(max(2, math.ceil(wanted)), _MOST_PARTS)
+        degrees += [int(degree)] * parts
+        widths += [width / parts] * parts
+    return mesh_of(mesh.scheme, degrees, np.array(widths))

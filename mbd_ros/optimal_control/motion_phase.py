@@ -7,19 +7,24 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mbd_ros.core.contracts.sensor import Sensor
+from mbd_ros.core.contracts import Sensor
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-from mbd_ros.optimal_control.defects import CLOSING, MOTION, PhaseForms
-from mbd_ros.optimal_control.given_inputs import NONE_GIVEN, GivenInputs
+from mbd_ros.optimal_control.defects import (
+    CLOSING,
+    LETTERS,
+    MOTION,
+    PhaseEquations,
+    PhaseForms,
+    Usual,
+    usual_sizes,
+)
+from mbd_ros.optimal_control.goals import PhaseCosts, Reference
+from mbd_ros.optimal_control.limits import PATH, PathBounds, usual_bounds
 from mbd_ros.optimal_control.mesh import Numbers
-from mbd_ros.optimal_control.path_bounds import PATH, PathBounds, usual_bounds
-from mbd_ros.optimal_control.phase_costs import PhaseCosts, Reference
-from mbd_ros.optimal_control.phase_equations import LETTERS, PhaseEquations
-from mbd_ros.optimal_control.problem import PhaseProblem, Range, Ranges
-from mbd_ros.optimal_control.program_block import Block
+from mbd_ros.optimal_control.problem import NONE_GIVEN, GivenInputs, PhaseProblem, Range, Ranges
 from mbd_ros.optimal_control.quantities import Quantities, Quantity, input_bounds, stops
-from mbd_ros.optimal_control.scaling import Usual, usual_sizes
+from mbd_ros.optimal_control.sparse_program import Block
 from mbd_ros.optimal_control.unknowns import PhaseMotion, Unknowns
 
 # What a task says of the state at an end of a phase.

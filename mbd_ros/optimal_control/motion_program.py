@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
+from mbd_ros.optimal_control.defects import LETTERS
 from mbd_ros.optimal_control.error_estimate import looked_at
 from mbd_ros.optimal_control.ipopt import KINKED, PIECEWISE, Solved, Tell, solve
 from mbd_ros.optimal_control.motion_phase import MotionPhase
-from mbd_ros.optimal_control.phase_equations import LETTERS
 from mbd_ros.optimal_control.problem import Range
-from mbd_ros.optimal_control.program_block import Block, Form
-from mbd_ros.optimal_control.sparse_program import SparseProgram
+from mbd_ros.optimal_control.sparse_program import Block, Form, SparseProgram
 from mbd_ros.optimal_control.unknowns import PhaseMotion, Unknowns
 
 # Nodes of a mesh that move with the motion: widths of intervals that are unknown.

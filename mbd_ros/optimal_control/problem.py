@@ -1,9 +1,16 @@
-"""What is asked of a motion: bounds, conditions at ends and goals of each phase, by names."""
+"""What is asked of a motion: bounds, conditions, goals and inputs of each phase."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
-from mbd_ros.optimal_control.mesh import Mesh
+import numpy as np
+
+from mbd_ros.core.state import Array
+from mbd_ros.optimal_control.mesh import Mesh, Numbers
+
+# ---- problem ----------------------------------------------------------------------------------
+# What is asked of a motion: bounds, conditions at ends and goals of each phase, by names.
+
 
 Range = tuple[float, float]
 Ranges = Mapping[str, Range]
@@ -46,3 +53,39 @@ class PhaseProblem(NamedTuple):
     end: Ranges
     goals: tuple[Goal, ...]
     mesh: Mesh
+
+
+# ---- given inputs -----------------------------------------------------------------------------
+# Inputs of a motion that are no unknowns: measured loads.
+
+
+class GivenInputs(NamedTuple):
+    """Inputs that are known over time.
+
+    Attributes:
+        places: Where they stand in u, shape (k,).
+        at: Shares of the duration of a phase, shape (m,) -> values, shape (m, k).
+    """
+
+    places: Numbers
+    at: Callable[[Array], Array]
+
+
+NONE_GIVEN = GivenInputs(np.zeros(0, dtype=np.intp), lambda shares: np.zeros((len(shares), 0)))
+
+
+# ---- free body names --------------------------------------------------------------------------
+# What coordinates and velocities of a free body are called in tasks and tables.
+
+
+_WORDS = (
+    ("position", "xyz"),
+    ("orientation", "xyzw"),
+    ("linear_velocity", "xyz"),
+    ("angular_velocity", "xyz"),
+)
+
+
+def body_names(body: str) -> list[str]:
+    """Names of the seven coordinates and the six velocities of a free body, in its axes."""
+    return [f"{body}.{word}.{axis}" for word, axes in _WORDS for axis in axes]

@@ -9,20 +9,18 @@ import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.symbols.equations import Equations
-from mbd_ros.compiled.symbols.reactions import SymbolicReactions
 from mbd_ros.compiled.symbols.scalar import number, numbers, plain, scalars
+from mbd_ros.compiled.symbols.tree.reactions import SymbolicReactions
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
-from mbd_ros.core.contracts.outputs import Now
-from mbd_ros.core.contracts.parts import Part
-from mbd_ros.core.contracts.sensor import Measures, Sensor
+from mbd_ros.core.contracts import Measures, Now, Part, Sensor
 from mbd_ros.core.dynamics.output_values import numbers_of
-from mbd_ros.core.inverse_dynamics.joint_loads import joined_links
 from mbd_ros.core.loads.inputs import command_names, input_names
 from mbd_ros.core.muscles.metabolic_rate import Metabolism
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-from mbd_ros.optimal_control.free_body_names import body_names
-from mbd_ros.optimal_control.phase_equations import PhaseEquations
+from mbd_ros.methods.inverse_dynamics.reactions import joined_links
+from mbd_ros.optimal_control.defects import PhaseEquations
+from mbd_ros.optimal_control.problem import body_names
 
 # What sensors measure, parts show and joints pass on, as expressions of a phase.
 

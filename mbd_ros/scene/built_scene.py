@@ -4,14 +4,14 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.loads.input_sources import Source
+from mbd_ros.core.loads.inputs import Source
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.methods.integration.stepping import Integrator
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.reading.building import parts_in
 from mbd_ros.scene.reading.part_entries import Solver, build_part
 from mbd_ros.scene.schema import schema
@@ -23,17 +23,15 @@ if TYPE_CHECKING:
 import math
 from collections.abc import Collection
 
-from mbd_ros.core.control.contract import ControlledJoints
-from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
-from mbd_ros.core.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.core.inverse_dynamics.efforts import joint_efforts
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.core.inverse_dynamics.observed_loops import ObservedLoops
-from mbd_ros.core.inverse_dynamics.standing import Nearness, carriers
-from mbd_ros.core.inverse_dynamics.torques import SampleSolver
-from mbd_ros.core.multiplier_laws import Kind
-from mbd_ros.core.rows.row_layout import rigid
+from mbd_ros.core.dynamics.mass import check_mass_anywhere
+from mbd_ros.core.rows.constraint import Kind
+from mbd_ros.core.rows.constraint_rows import rigid
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.control.contract import ControlledJoints
+from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics, ObservedLoops
+from mbd_ros.methods.inverse_dynamics.efforts import joint_efforts
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics, SampleSolver
+from mbd_ros.methods.inverse_dynamics.standing import Nearness, carriers
 from mbd_ros.scene.scene_parts import SceneParts
 
 # What a scene makes for motion that is measured: solvers for efforts, and joints to control.
@@ -265,7 +263,7 @@ class Scene(MeasuredScene):
         sources: Mapping[str, Source] = _NO_SOURCES,
     ) -> "PhasedSystem":
         """The systems of all phases, behind one; arguments and errors as for `system`."""
-        from mbd_ros.scene.phases.phased_systems import phased_system
+        from mbd_ros.scene.phased_systems import phased_system
 
         return phased_system(self, self._loads(forces, sources), self.chosen_solver(solver))
 

@@ -5,25 +5,25 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbd_ros.core.contracts.parts import Actuator, Load
-from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.core.contracts import Actuator, Load
 from mbd_ros.core.loads.inputs import Inputs
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.rows.constraint import Constraint
-from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import Array, State
+from mbd_ros.methods.integration.stepping import Integrator
+from mbd_ros.methods.projection.assembly import Stabilization
+from mbd_ros.methods.simulation.live_simulation import SafeCommand
 from mbd_ros.scene.reading.building import Origin, parts_in
 from mbd_ros.scene.reading.coupling_entries import coupling_kinds
 from mbd_ros.scene.reading.part_entries import MeasuredWrench, Solver
 from mbd_ros.scene.schema.sections import Section
 
 if TYPE_CHECKING:
-    from mbd_ros.core.contracts.sensor import Sensor
+    from mbd_ros.core.contracts import Sensor
     from mbd_ros.core.muscles.muscle import Muscle
-    from mbd_ros.scene.reading.phase_plans import PhasePlan
+    from mbd_ros.scene.reading.phase_entries import PhasePlan
 
 from collections.abc import Iterator, Sequence
 

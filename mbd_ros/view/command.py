@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say, say_all
+from mbd_ros.jobs.progress import say, say_all
 from mbd_ros.scene.schema.locate import path_word
 
 if TYPE_CHECKING:
@@ -73,10 +73,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _write(arguments: argparse.Namespace, scene: "Scene") -> int:
     """Write the motion as one file."""
     from mbd_ros.files.replacing import replacing
+    from mbd_ros.view.controls import Rerun
     from mbd_ros.view.frames import Frames
     from mbd_ros.view.motion import viewed_motion
     from mbd_ros.view.recording import animated_page
-    from mbd_ros.view.rerun import Rerun
 
     out, topic = arguments.out, arguments.topic
     if out.suffix != ".html":

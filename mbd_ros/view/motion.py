@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.kinematics.free_bases import configuration_of
+from mbd_ros.core.kinematics.poses import configuration_of
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
 from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion

@@ -9,7 +9,7 @@ import numpy as np
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.drawing import Drawing
 from mbd_ros.view.motion import ViewedMotion
-from mbd_ros.view.player import nearest_row
+from mbd_ros.view.page import nearest_row
 from mbd_ros.view.server import started, stop
 
 RATE = 60.0  # images a second of a page

@@ -8,8 +8,7 @@ import pytest
 from PIL import Image
 
 from mbd_ros import load_scene
-from mbd_ros.applications.demo.moving import moving_result
-from mbd_ros.applications.demo.page import Content, page
+from mbd_ros.applications.demo.page import Content, moving_result, page
 from mbd_ros.cli import main
 
 EVIL = "<img src=x onerror=alert(1)>"

@@ -357,7 +357,7 @@ def test_deactivation_ramps_down_and_activation_begins_anew(domain, tmp_path):
 
 
 CRASHING = """
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 from mbd_ros.errors import SolveError
 import numpy as np
 class Fragile(Load):

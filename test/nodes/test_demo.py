@@ -9,8 +9,8 @@ from nodes.demo_command import demo
 from scipy.interpolate import BPoly
 from test_demo import LAM, Task
 
-from mbd_ros.applications.demo.choices import ROBOTS
 from mbd_ros.applications.demo.files import GAINS, MASS_SCALE, PLANT, RATE
+from mbd_ros.applications.demo.task import ROBOTS
 from mbd_ros.files.bags.bags import messages
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.time import read_time

@@ -14,9 +14,8 @@ from nodes.demo_command import command
 from rclpy.context import Context
 from rosgraph_msgs.msg import Clock
 
-from mbd_ros.applications.demo.loop import CLASSES, Recorder
+from mbd_ros.applications.demo.loop import CLASSES, DIAGNOSTICS, Recorder
 from mbd_ros.applications.demo.processes import Failed
-from mbd_ros.applications.demo.topics import DIAGNOSTICS
 from mbd_ros.jobs.isolated_domain import isolated_domain
 from msg_adapters.time import read_time
 

@@ -10,8 +10,8 @@ from sensor_msgs.msg import JointState
 
 from mbd_ros.cli import main
 from mbd_ros.core.model.inertial_parameters import parameters_of
-from mbd_ros.features.identification.identified_scene import description_of
 from mbd_ros.features.identification.job import identify
+from mbd_ros.features.identification.outcome import description_of
 from mbd_ros.features.identification.problem import Problem
 from mbd_ros.features.identification.task import Task
 from mbd_ros.jobs.domain_claim import claimed_domain

@@ -411,7 +411,7 @@ def test_16_17_38_clock_that_jumps_back_and_stands(domain, tmp_path):
 
 PART = '''
 import numpy as np
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 from mbd_ros.errors import ModelError
 
 

@@ -6,8 +6,8 @@ from mechanisms import joint, link, urdf
 from nodes.joint_stream import DEEP, MS, SCENES, live
 from std_msgs.msg import Float64MultiArray, String
 
-from mbd_ros.core.inverse_dynamics.observed_power import ObservedPower
 from mbd_ros.jobs.domain_claim import claimed_domain
+from mbd_ros.methods.inverse_dynamics.power import ObservedPower
 from mbd_ros.nodes.shell.scene_node import LATCHED
 
 G = 9.81

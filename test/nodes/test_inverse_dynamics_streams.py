@@ -10,8 +10,8 @@ from nodes.joint_stream import ACTIVE, DEEP, MS, SCENES, TARGET, WrenchStream, l
 from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import JointState
 
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.jobs.domain_claim import claimed_domain
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
 from msg_adapters.diagnostics import OK, STALE, WARN
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time

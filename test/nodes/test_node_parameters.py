@@ -15,16 +15,16 @@ from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE
 
 from mbd_ros.cli import main
-from mbd_ros.core.inverse_dynamics.joint_observer import Tuning
-from mbd_ros.core.projection.state_projection import StateProjector
-from mbd_ros.features.control.chatter import ChatterMeter
-from mbd_ros.features.control.reference_generator import ReferenceGenerator
-from mbd_ros.nodes.controller import laws
+from mbd_ros.features.control.loop_watch import ChatterMeter
+from mbd_ros.features.control.reference import ReferenceGenerator
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Tuning
+from mbd_ros.methods.projection.state_projection import StateProjector
+from mbd_ros.nodes.controller import parameters as laws
 from mbd_ros.nodes.shell.parameters import PARAMETERS
 from mbd_ros.nodes.table import NODES
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.schema.arguments import arguments
 from mbd_ros.scene.schema.registry import PARTS, resolve
+from mbd_ros.scene.schema.schema import arguments
 
 PROMISED = json.loads(Path(__file__).with_name("parameters.json").read_text(encoding="utf-8"))
 

@@ -12,8 +12,8 @@ from nodes.control_client import controlled
 from nodes.simulation_client import NAME, simulated
 from rcl_interfaces.srv import DescribeParameters, GetParameters
 
-from mbd_ros.core.control.contract import EffortBox, Reference
 from mbd_ros.core.state import State
+from mbd_ros.methods.control.contract import EffortBox, Reference
 from mbd_ros.scene.reader import load_scene
 
 PAGE = (ROOT / "docs/control.md").read_text(encoding="utf-8")
@@ -26,7 +26,7 @@ TARGET = ("-m", "mbd_ros.nodes", "sliding_mode_controller")
 NODE = "/sliding_mode_controller"
 OTHERS = """
 from typing import Annotated
-from mbd_ros.core.control.contract import Controller
+from mbd_ros.methods.control.contract import Controller
 from mbd_ros.parts.controllers.computed_torque import ComputedTorque
 class Demanding(ComputedTorque):
     def __init__(self, joints, *, kp: float, order: int = 2) -> None: ...
@@ -150,8 +150,8 @@ def test_it_controls_the_simulator_in_lock_step_with_gains_from_a_file(domain, t
         ("no_such_laws:Law", True, "No module named 'no_such_laws'; looked for in "),
         ("soft_spring:Hard", True, "module 'soft_spring' has no attribute 'Hard'"),
         ("other_laws:function", True, "is not a class with a method 'effort'"),
-        ("other_laws:Stray", True, "must inherit mbd_ros.core.control.contract:Controller and"),
-        ("other_laws:Idle", True, "must inherit mbd_ros.core.control.contract:Controller and"),
+        ("other_laws:Stray", True, "must inherit mbd_ros.methods.control.contract:Controller and"),
+        ("other_laws:Idle", True, "must inherit mbd_ros.methods.control.contract:Controller and"),
         ("other_laws:Lonely", True, "must take (joints, *, gains), joints as its first argument"),
         ("other_laws:Odd", True, "argument 'kp' has the annotation dict[str, float]; accepted: f"),
         ("other_laws:Demanding", True, "parameter 'gains.kp' must be given: finite float"),

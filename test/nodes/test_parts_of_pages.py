@@ -9,7 +9,7 @@ from nodes.conftest import ROOT
 from nodes.simulation_client import DEEP, NAME, simulated
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.loads.input_sources import HeldTable
+from mbd_ros.core.loads.inputs import HeldTable
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.code_permission import permitting
 

@@ -218,7 +218,7 @@ def output_over_the_input(data_dir, folder):
 
 PART = """
 import numpy as np
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 from mbd_ros.errors import ModelError
 
 class Fuse(Load):

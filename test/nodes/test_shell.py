@@ -17,7 +17,7 @@ ACTIVE = "]: active"
 TOLD = """
 from pathlib import Path
 import numpy as np
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 Path({ran!r}).touch()
 class Rest(Load):
     def __init__(self, robot):

@@ -25,9 +25,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.bags.bags import BagWriter, messages, raw_messages
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.clock import read_clock
 from msg_adapters.diagnostics import OK, WARN

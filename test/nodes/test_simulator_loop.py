@@ -10,7 +10,7 @@ from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.simulation_client import ARM, DAMPED, DEEP, simulated, streamed, swinging
 from sensor_msgs.msg import JointState
 
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import read_joint_state
 

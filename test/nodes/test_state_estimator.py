@@ -14,7 +14,7 @@ from nodes.simulation_client import DEEP
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts import Now
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import write_joint_state

@@ -2,8 +2,8 @@
 
 import pytest
 
-from mbd_ros.nodes.shell import health
-from mbd_ros.nodes.shell.health import QUIET, VARIETY, Drops
+from mbd_ros.nodes.shell import shell as health
+from mbd_ros.nodes.shell.shell import QUIET, VARIETY, Drops
 
 
 @pytest.fixture

@@ -3,9 +3,9 @@
 import argparse
 from pathlib import Path
 
-from mbd_ros.applications.demo.choices import LAWS, ROBOTS, TWIN, WALKING
+from mbd_ros.applications.demo.task import LAWS, ROBOTS, TWIN, WALKING
 from mbd_ros.errors import OK, DataError
-from mbd_ros.jobs.lines import say_all
+from mbd_ros.jobs.progress import say_all
 from mbd_ros.scene.schema.locate import path_word
 
 _WALKING, _TWIN = "walking", "twin"

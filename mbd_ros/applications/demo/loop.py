@@ -1,4 +1,4 @@
-"""The closed loop of a demo over topics: started at t = 0, led along a reference, and stopped.
+"""The closed loop of a demo over topics.
 
 The simulator is in lock step: time stands, and each command advances it by one tick. The other
 nodes live in the simulated time of /clock. On a machine under any load the physics is that of
@@ -22,17 +22,60 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from mbd_ros.applications.demo import topics
-from mbd_ros.applications.demo.choices import LAWS
 from mbd_ros.applications.demo.files import GAINS, MODEL, PLANT, RATE
 from mbd_ros.applications.demo.processes import Failed, NodeCommand, running
-from mbd_ros.applications.demo.task import ReferenceTrajectory
-from mbd_ros.applications.demo.topics import DIAGNOSTICS
+from mbd_ros.applications.demo.task import LAWS, ReferenceTrajectory
 from mbd_ros.files.bags.bags import BagWriter, RawMessage
 from mbd_ros.jobs.isolated_domain import isolated_domain
 from mbd_ros.jobs.progress import progress
 from msg_adapters.diagnostics import Health, read_diagnostics
 from msg_adapters.time import NANOSECONDS, read_time
+
+# ---- topics -----------------------------------------------------------------------------------
+# Topics of a demo, and their publishers.
+
+
+SIMULATOR, WATCHER = "/simulator", "/inverse_dynamics"
+STATES, CLOCK, DIAGNOSTICS = "/joint_states", "/clock", "/diagnostics"
+FORCES, COMMANDS = f"{SIMULATOR}/constraint_forces", f"{SIMULATOR}/commands"
+TORQUES, COUPLING = f"{WATCHER}/joint_torques", f"{WATCHER}/constraint_forces"
+_JOINT_STATE = "sensor_msgs/msg/JointState"
+
+
+def loop_state(controller: str) -> str:
+    """Topic of the tracking error of a controller."""
+    return f"{controller}/state"
+
+
+def reference(controller: str) -> str:
+    """Topic of the reference of a controller."""
+    return f"{controller}/joint_trajectory"
+
+
+def recorded_topics(controller: str, has_rows: bool, has_coupling: bool) -> dict[str, str]:
+    """The recorded topics: name -> type.
+
+    Args:
+        controller: Fully qualified name of the node.
+        has_rows: Whether the plant has constraint rows.
+        has_coupling: Whether it has dependent joints.
+    """
+    optional = {FORCES: has_rows, COUPLING: has_coupling}
+    return {
+        STATES: _JOINT_STATE,
+        COMMANDS: "std_msgs/msg/Float64MultiArray",
+        loop_state(controller): _JOINT_STATE,
+        reference(controller): "trajectory_msgs/msg/JointTrajectory",
+        TORQUES: _JOINT_STATE,
+        **{topic: _JOINT_STATE for topic, is_there in optional.items() if is_there},
+        DIAGNOSTICS: "diagnostic_msgs/msg/DiagnosticArray",
+        CLOCK: "rosgraph_msgs/msg/Clock",
+    }
+
+
+# ---- loop -------------------------------------------------------------------------------------
+# The closed loop of a demo over topics: started at t = 0, led along a reference, and stopped.
+
 
 # Records topics as they come, and calls services of nodes.
 
@@ -213,7 +256,7 @@ def record_loop(run: LoopRun, bag: Path) -> None:
         Failed: A node ends, refuses its part, or the loop stands still; or others publish here.
         DataError: The bag cannot be written.
     """
-    recorded = topics.recorded(run.controller, run.has_rows, run.has_coupling)
+    recorded = recorded_topics(run.controller, run.has_rows, run.has_coupling)
     commands = _commands(run)
     with (
         BagWriter(bag) as writer,
@@ -236,7 +279,7 @@ def _commands(run: LoopRun) -> list[NodeCommand]:
         NodeCommand(
             LAWS[run.law],
             {**timed, "scene": str(run.folder / MODEL)},
-            ("-r", f"~/commands:={topics.COMMANDS}", "--params-file", str(run.folder / GAINS)),
+            ("-r", f"~/commands:={COMMANDS}", "--params-file", str(run.folder / GAINS)),
         ),
         NodeCommand(
             "inverse_dynamics", {**timed, "scene": str(run.watched), "cutoff": f"{CUTOFF:.1f}"}
@@ -250,9 +293,9 @@ class _Lead:
     def __init__(self, run: LoopRun, recorder: Recorder) -> None:
         self._run, self._recorder = run, recorder
         node = recorder.node
-        self._reset = node.create_client(Trigger, f"{topics.SIMULATOR}/reset")
-        self._pause = node.create_client(SetBool, f"{topics.SIMULATOR}/pause")
-        topic = topics.reference(run.controller)
+        self._reset = node.create_client(Trigger, f"{SIMULATOR}/reset")
+        self._pause = node.create_client(SetBool, f"{SIMULATOR}/pause")
+        topic = reference(run.controller)
         self._trajectory = node.create_publisher(JointTrajectory, topic, 1)
 
     def through(self) -> None:
@@ -270,7 +313,7 @@ class _Lead:
 
     def _is_ready(self) -> bool:
         recorder, node = self._recorder, self._recorder.node
-        nodes = (topics.SIMULATOR, topics.WATCHER, self._run.controller)
+        nodes = (SIMULATOR, WATCHER, self._run.controller)
         states = {name: recorder.health[name] for name in nodes if name in recorder.health}
         for name, health in states.items():
             if health.values.get("state") == "unconfigured":
@@ -279,8 +322,8 @@ class _Lead:
             len(states) == len(nodes)
             and all(health.values.get("state") == "active" for health in states.values())
             and recorder.is_complete()
-            and node.count_subscribers(topics.STATES) >= len(nodes)
-            and node.count_subscribers(topics.COMMANDS) >= 2
+            and node.count_subscribers(STATES) >= len(nodes)
+            and node.count_subscribers(COMMANDS) >= 2
             and self._trajectory.get_subscription_count() >= 2
         )
 
@@ -289,8 +332,8 @@ class _Lead:
         recorder = self._recorder
         recorder.ask(self._reset, Trigger.Request())
         recorder.spin(0.2)
-        received = recorder.health[topics.SIMULATOR].values["commands received"]
-        return received != "0" and topics.TORQUES in recorder.newest
+        received = recorder.health[SIMULATOR].values["commands received"]
+        return received != "0" and TORQUES in recorder.newest
 
     def _send_reference(self) -> None:
         """The reference, whose time 0 is that of the standing clock."""
@@ -309,7 +352,7 @@ class _Lead:
     def _ticks(self) -> Iterator[int]:
         """One item a simulated millisecond, as time passes."""
         recorder, shown, seen, since = self._recorder, 0, -1, time.monotonic()
-        while (now := self._stamp(topics.STATES)) < self._run.duration * NANOSECONDS:
+        while (now := self._stamp(STATES)) < self._run.duration * NANOSECONDS:
             if now != seen:
                 seen, since = now, time.monotonic()
             elif time.monotonic() - since > _STALL:
@@ -321,10 +364,10 @@ class _Lead:
     def _drain(self) -> None:
         """Until the last joint state is answered, and the health after it is known."""
         recorder, end = self._recorder, time.monotonic() + _DRAIN
-        while self._stamp(topics.TORQUES) < self._stamp(topics.STATES) and time.monotonic() < end:
+        while self._stamp(TORQUES) < self._stamp(STATES) and time.monotonic() < end:
             recorder.spin()
-        last = recorder.health[topics.SIMULATOR]
-        recorder.wait(lambda: recorder.health[topics.SIMULATOR] is not last, "diagnostics")
+        last = recorder.health[SIMULATOR]
+        recorder.wait(lambda: recorder.health[SIMULATOR] is not last, "diagnostics")
 
     def _stamp(self, topic: str) -> int:
         return read_time(self._recorder.read(topic).header.stamp)

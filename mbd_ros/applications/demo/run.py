@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.applications.demo import panels
-from mbd_ros.applications.demo.choices import LAWS, ROBOTS
 from mbd_ros.applications.demo.files import (
     BAG,
     KNOWN,
@@ -19,20 +18,18 @@ from mbd_ros.applications.demo.files import (
     PICTURE,
     PLANT,
     RATE,
+    replacing_folder,
     write_gains,
     write_scenes,
 )
-from mbd_ros.applications.demo.folder import replacing_folder
 from mbd_ros.applications.demo.loop import CUTOFF, LoopRun, record_loop
-from mbd_ros.applications.demo.moving import moving_run
-from mbd_ros.applications.demo.numbers import DemoNumbers
-from mbd_ros.applications.demo.page import Content, page
+from mbd_ros.applications.demo.numbers import DemoNumbers, read_signals
+from mbd_ros.applications.demo.page import Content, moving_run, page
 from mbd_ros.applications.demo.panels import BLACK, BLUE, ORANGE, line, name, picture
 from mbd_ros.applications.demo.processes import Failed
-from mbd_ros.applications.demo.signals import read_signals
 from mbd_ros.applications.demo.summary import Table, lines
 from mbd_ros.applications.demo.tables import tables
-from mbd_ros.applications.demo.task import DISTURBANCE_SHARE, disturbance, trajectory
+from mbd_ros.applications.demo.task import DISTURBANCE_SHARE, LAWS, ROBOTS, disturbance, trajectory
 from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from mbd_ros.applications.report import items
 from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_allow_code
-from mbd_ros.jobs.lines import say_all
-from mbd_ros.jobs.workers.arguments import add_workers
+from mbd_ros.jobs.progress import say_all
+from mbd_ros.jobs.workers.opening import add_workers
 from mbd_ros.scene.schema.locate import path_word
 
 _README = "put the headlines of -o DIR into this file, between its two marks; nothing is run"
@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _lines(arguments: argparse.Namespace) -> Iterator[str]:
     if arguments.readme is not None:
-        from mbd_ros.applications.report.readme import put_headlines
+        from mbd_ros.applications.report.compose import put_headlines
 
         if arguments.scenes or arguments.quick or arguments.only:
             raise DataError("--readme takes the numbers of -o DIR as they are")

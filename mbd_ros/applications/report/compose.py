@@ -1,11 +1,14 @@
 """From parts to a page: `mbd-ros report`."""
 
+import importlib
 import json
 import math
 import os
 import platform
+import re
 import subprocess
 import time
+from collections import Counter
 from collections.abc import Generator, Iterator, Mapping, Sequence
 from datetime import datetime, timezone
 from importlib.util import find_spec
@@ -13,25 +16,114 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 import mbd_ros
 from mbd_ros.applications.report import items
-from mbd_ros.applications.report.items import Item, Section
+from mbd_ros.applications.report.items import Item, Outcome, Section
 from mbd_ros.applications.report.page import page
-from mbd_ros.applications.report.program import VERSIONS, program, versions
-from mbd_ros.applications.report.store import Store
+from mbd_ros.applications.report.store import VERSIONS, Store, program, versions
 from mbd_ros.applications.report.subjects import Subject, subjects
-from mbd_ros.applications.report.work import collect, finish, label
+from mbd_ros.compiled.build.compiler import cores
 from mbd_ros.errors import FAILED, DataError, MbdError
 from mbd_ros.features.simulation.job import Interrupted, simulate
 from mbd_ros.files.replacing import replacing
-from mbd_ros.jobs.workers.opening import cores, open_workers
-from mbd_ros.jobs.workers.remaining import Remaining, spoken
-from mbd_ros.jobs.workers.task import Result, cpu
+from mbd_ros.jobs.workers.opening import Remaining, Workers, do_all, open_workers, spoken, watched
+from mbd_ros.jobs.workers.task import Result, Task, cpu
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.schema.code_permission import is_permitted, permitting
 from mbd_ros.scene.schema.locate import find_scene
 from mbd_ros.view.frames import Frames
 from mbd_ros.view.motion import viewed_motion
 from mbd_ros.view.recording import animated_page
+
+# ---- work -------------------------------------------------------------------------------------
+# Items of the parts as tasks for workers, and their results.
+
+
+_PATIENCE, _SLOWER = 300.0, 20.0  # s; how many times slower than expected is still waited for
+
+
+def collect(
+    kinds: Sequence[str], scenes: Sequence[str], quick: bool
+) -> dict[str, list[Item] | Section]:
+    """The items of every kind; a section that says so where a package is missing."""
+    found: dict[str, list[Item] | Section] = {}
+    for kind in kinds:
+        try:
+            found[kind] = _checked(kind, items.part(kind).items(scenes, quick))
+        except ModuleNotFoundError as error:
+            if str(error.name).startswith("mbd_ros"):
+                raise
+            line = f"{error.name} is not installed: pip install 'mbd_ros[{kind}]' brings it."
+            found[kind] = Section(kind.replace("_", " ").capitalize(), [line])
+    return found
+
+
+def _checked(kind: str, work: list[Item]) -> list[Item]:
+    twice = [name for name, count in Counter(item.name for item in work).items() if count > 1]
+    strange = {item.kind for item in work} - {kind}
+    if twice or strange:
+        raise ValueError(f"items of {kind}: names {twice} twice, kinds {strange}")
+    return work
+
+
+def finish(
+    work: Sequence[Item], store: Store, workers: Workers, *, elsewhere: bool
+) -> dict[str, Result]:
+    """Do items and store every result at once.
+
+    Args:
+        work: The items.
+        store: Where results are kept.
+        workers: Those who do them.
+        elsewhere: They may have another version of this package, and are asked.
+
+    Returns:
+        Label of an item -> its result.
+    """
+    tasks = [_task(item, elsewhere) for item in work]
+    items_of = {label(item): item for item in work}
+    results = {}
+    for task, result in watched(do_all(workers, tasks), tasks, workers.count):
+        store.save(items_of[task.name], result)
+        results[task.name] = result
+    return results
+
+
+def label(item: Item) -> str:
+    """What an item is called among those of all kinds."""
+    return f"{item.kind}/{item.name}"
+
+
+def _task(item: Item, elsewhere: bool) -> Task:
+    module = items.PARTS[item.kind]
+    wanted = program(module) if elsewhere else None
+    argument = {"module": module, "program": wanted, "spec": item.spec}
+    argument["allow_code"] = is_permitted()
+    limit = max(_PATIENCE, _SLOWER * item.seconds)
+    call = f"{__name__}:{perform.__name__}"
+    return Task(label(item), call, argument, item.seconds, item.alone, limit)
+
+
+def perform(argument: Mapping[str, Any]) -> Outcome:
+    """Run one item in a worker.
+
+    Raises:
+        DataError: The worker has another version of the program.
+    """
+    module, wanted = argument["module"], argument["program"]
+    if wanted is not None and program(module) != wanted:
+        raise DataError("this worker has other sources or package versions")
+    quiet = np.errstate(over="ignore", invalid="ignore")  # a divergence says so itself
+    with quiet, permitting(argument["allow_code"]):
+        outcome: Outcome = importlib.import_module(module).run(argument["spec"])
+    return outcome
+
+
+# ---- compose ----------------------------------------------------------------------------------
+# From parts to a page: `mbd-ros report`.
+
 
 # Pages beside a report that show its scenes as they move.
 
@@ -292,3 +384,87 @@ def plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [plain(entry) for entry in value]
     return value
+
+
+# ---- readme -----------------------------------------------------------------------------------
+# The headlines of a report in a page: `mbd-ros report --readme`.
+
+
+BEGIN, END = "<!-- report: begin -->", "<!-- report: end -->"
+_BETWEEN = re.compile(f"{re.escape(BEGIN)}.*?{re.escape(END)}", re.DOTALL)
+_PLOT = Path("images/report.png")
+
+
+def put_headlines(readme: Path, folder: Path) -> Iterator[str]:
+    """Replace what is between the marks of a page, and the plot in `images` beside it.
+
+    Args:
+        readme: The page.
+        folder: That of a report.
+
+    Yields:
+        What was written.
+
+    Raises:
+        DataError: There is no report, or the page has no marks.
+    """
+    numbers = _load(folder / "report.json")
+    try:
+        text = readme.read_text(encoding="utf-8")
+    except OSError as error:
+        raise DataError(f"{readme}: cannot be read ({error.strerror})") from error
+    if len(_BETWEEN.findall(text)) != 1:
+        raise DataError(f"{readme}: expected {BEGIN} and {END} once")
+    lines = [BEGIN, *_made(numbers), *_tables(numbers)]
+    figures = [f for s in numbers["sections"].values() for f in s["figures"] if f in s["headline"]]
+    if figures:
+        target = readme.parent / _PLOT
+        target.parent.mkdir(exist_ok=True)
+        with replacing(target) as file:
+            file.write((folder / f"{figures[0]}.png").read_bytes())
+        lines += [f"![{figures[0].replace('_', ' ')}]({_PLOT.as_posix()})", ""]
+        yield f"{figures[0]} -> {target}"
+    new = _BETWEEN.sub(lambda _: "\n".join([*lines, END]), text)
+    with replacing(readme) as file:
+        file.write(new.encode())
+    yield f"headlines of {os.fspath(folder)} -> {readme}"
+
+
+def _load(path: Path) -> dict[str, Any]:
+    try:
+        loaded: dict[str, Any] = json.loads(path.read_bytes())
+    except (OSError, ValueError) as error:
+        raise DataError(f"{path}: no report that can be read ({error})") from error
+    return loaded
+
+
+def _made(numbers: Mapping[str, Any]) -> Iterator[str]:
+    machine, git = numbers["machine"], numbers["git"]
+    commit = f", commit {git['commit'][:10]}" if git else ""
+    changed = " with changes" if git.get("changed") else ""
+    quick = " --quick" if numbers["quick"] else ""
+    versions = (f"{n} {v}" for n, v in numbers["versions"].items() if n not in ("mbd_ros", "dask"))
+    yield (
+        f"Made by `mbd-ros report{quick}` on {numbers['date'][:10]}{commit}{changed}; "
+        f"{machine['cpu']}, {machine['cores']} cores; {', '.join(versions)}."
+    )
+    if numbers["wrong"]:
+        yield f"**{len(numbers['wrong'])} cells are wrong.**"
+    yield ""
+
+
+def _tables(numbers: Mapping[str, Any]) -> Iterator[str]:
+    for section in numbers["sections"].values():
+        for title, columns, rows in section["tables"]:
+            if title in section["headline"]:
+                yield f"{title}:"
+                yield ""
+                yield _row(columns)
+                yield "|---" * len(columns) + "|"
+                yield from map(_row, rows)
+                yield ""
+
+
+def _row(cells: list[str]) -> str:
+    escaped = (cell.replace("|", r"\|") for cell in cells)
+    return f"| {' | '.join(escaped)} |"

@@ -9,7 +9,7 @@ from typing import Any
 from urllib.parse import quote
 
 from mbd_ros.applications.report.items import Section, Table
-from mbd_ros.jobs.workers.remaining import spoken
+from mbd_ros.jobs.workers.opening import spoken
 
 # A section of the page: texts, tables, pictures, and lines to paste.
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.library import Library
-from mbd_ros.compiled.code.searches import SEARCH
+from mbd_ros.compiled.code.emit import SEARCH
 from mbd_ros.compiled.symbols.trace import ARGUMENTS, Traced
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import NONE, Array, Mode, State

@@ -2,15 +2,27 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from itertools import pairwise
+from itertools import accumulate, pairwise
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import casadi as ca
 
-from mbd_ros.compiled.code.c_function import c_function
-from mbd_ros.compiled.code.instructions import CodeError, Instructions, Value, instructions
+from mbd_ros.compiled.code.c_function import (
+    CodeError,
+    Instructions,
+    Value,
+    c_function,
+    instructions,
+)
 from mbd_ros.compiled.code.source import Signature, Source
+from mbd_ros.compiled.symbols.path_tables import NATIVE, c_row, row_of, search_text
+from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
+from mbd_ros.compiled.symbols.trace import ARGUMENTS, Traced
+
+# ---- emit -------------------------------------------------------------------------------------
+# Functions of CasADi symbols as C source.
+
 
 # Divisions by the same number as products with its reciprocal: a division costs ten products.
 
@@ -122,3 +134,108 @@ def _parted(chunks: list[str], count: int) -> list[list[str]]:
     """Chunks in a number of parts of about the same length."""
     ends = [round(len(chunks) * k / count) for k in range(count + 1)]
     return [chunks[a:b] for a, b in pairwise(ends) if a < b]
+
+
+# ---- searches ---------------------------------------------------------------------------------
+# Functions whose paths are searched before them, as C source.
+
+
+SEARCH = "search_paths"  # from t, q and p to what is searched
+_WORK = "work"
+
+
+def emitted(traced: Traced, names: Sequence[str]) -> Source:
+    """C source of functions, with the search of paths that wrap where there are some.
+
+    Args:
+        traced: The system.
+        names: Of its functions.
+
+    Raises:
+        CodeError: As for `emit`.
+    """
+    functions = [traced.function(name) for name in names]
+    if not traced.searched:
+        return emit(functions)
+    places = traced.function("path_places")
+    asking = [function for function in functions if _asks(function)]
+    given = [_inner(one) if _asks(one) else one for one in functions]
+    source = emit([*given, places])
+    return _searching(source, asking, traced.searched)
+
+
+def _asks(function: Any) -> bool:
+    """Whether paths that are searched are an argument."""
+    return bool(function.n_in() > len(ARGUMENTS[function.name()]))
+
+
+def _inner(function: Any) -> Any:
+    """The same by another name."""
+    symbols = function.sx_in()
+    return ca.Function(f"{function.name()}_of_paths", symbols, function.call(symbols))
+
+
+def _searching(source: Source, asking: Sequence[Any], searched: SearchedPaths) -> Source:
+    """The source with the search, and functions that search first by their usual names."""
+    signatures, operations = dict(source.signatures), dict(source.operations)
+    texts = [source.text, _tables(searched)]
+    places = signatures["path_places"]
+    for function in asking:
+        name = function.name()
+        inner = signatures.pop(f"{name}_of_paths")
+        operations[name] = operations.pop(f"{name}_of_paths")
+        work = max(inner.work, places.work)
+        signatures[name] = Signature(inner.arguments[:-1], inner.results, work)
+        texts.append(_calling(name, signatures[name]))
+    signatures[SEARCH] = Signature(places.arguments, (searched.symbols.numel(),), places.work)
+    return source._replace(text="".join(texts), signatures=signatures, operations=operations)
+
+
+def _tables(searched: SearchedPaths) -> str:
+    """Surfaces, ranges and paths, and the code that searches."""
+    paths = [one.path for one in searched]
+    surfaces = [c_row(row_of(wrap.surface)) for path in paths for wrap in path.wraps]
+    ends = [f"{{{i}, {r.first}, {r.last}}}" for i, r in enumerate(_reaches(paths))]
+    first = [0, *accumulate(len(path.wraps) for path in paths)]
+    of = [
+        f"{{{len(path.points)}, {len(path.wraps)}, {start}}}"
+        for path, start in zip(paths, first, strict=False)
+    ]
+    numbers = {
+        "MOST_WRAPS": max(len(path.wraps) for path in paths),
+        "MOST_LINES": max(len(path.points) - 1 for path in paths),
+        "WRAP_PATHS": len(paths),
+        "WRAP_PLACES": searched.places.numel(),
+        "WRAP_NUMBERS": searched.symbols.numel(),
+    }
+    lines = [f"#define {name} {value}\n" for name, value in numbers.items()]
+    lines.append(search_text())
+    lines.append(f"static const Surface wrap_surfaces[] = {{{', '.join(surfaces)}}};\n")
+    lines.append(f"static const WrapReach wrap_reaches[] = {{{', '.join(ends)}}};\n")
+    lines.append(f"static const WrapPath wrap_paths[] = {{{', '.join(of)}}};\n")
+    lines.append((NATIVE / "searched_paths.h").read_text(encoding="utf-8"))
+    return "".join(lines)
+
+
+def _reaches(paths: Sequence[Any]) -> list[Any]:
+    return [reach for path in paths for reach in path.reaches]
+
+
+def _calling(name: str, signature: Signature) -> str:
+    """A function that searches and then calls the one that knows the paths."""
+    given = [f"i{k}" for k in range(len(signature.arguments))]
+    results = [f"o{k}" for k in range(len(signature.results))]
+    words = [*(f"const real *restrict {one}" for one in given)]
+    words += [f"real *restrict {one}" for one in (*results, _WORK)]
+    t, q, p = (given[ARGUMENTS[name].index(letter)] for letter in ARGUMENTS["path_places"])
+    lines = [
+        f"\n#define {name}_WORK {signature.work}\n",
+        f"static void {name}({', '.join(words)}) {{\n  real paths[WRAP_NUMBERS];\n",
+        f"  search_paths({t}, {q}, {p}, paths, work);\n",
+        f"  {name}_of_paths({', '.join([*given, 'paths', *results, _WORK])});\n",
+    ]
+    if name == "accelerate":  # where a path is not found, the plain tier has the say
+        lines.append("  if (!are_found(paths)) o2[0] = -1.0;\n")
+    at = ", ".join(f"at[{k}]" for k in range(len(words)))
+    lines.append(f"}}\nEXPORT void call_{name}(void *const *at) {{ {name}({at}); }}\n")
+    return "".join(lines)

@@ -1,5 +1,5 @@
 /* The shortest path between two points over surfaces in a row, by Newton's method, as
- * core/paths/wrapping/chain.py has it.
+ * core/kinematics/paths/shortest_path.py has it.
  */
 #define UNKNOWNS (4 * MOST_WRAPS)
 

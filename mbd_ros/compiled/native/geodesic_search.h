@@ -1,4 +1,4 @@
-/* Which geodesic a search ends at, as core/paths/wrapping/routes.py decides. */
+/* Which geodesic a search ends at, as core/kinematics/paths/wrapped_path.py decides. */
 
 /* Whole length of a path over one surface. */
 static double length_over(const double *a, const double *b, const Placed *one, const Arc *arc) {

@@ -1,4 +1,4 @@
-/* Forces of pairs of points in different molecules: see core/particles/pairs.py. */
+/* Forces of pairs of points in different molecules: see methods/particles/pairs.py. */
 #include <math.h>
 
 #define EXPORT __attribute__((visibility("default")))

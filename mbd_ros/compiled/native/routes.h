@@ -1,4 +1,4 @@
-/* Which surfaces a path wraps over, and where: as core/paths/wrapping/routes.py decides, from the
+/* Which surfaces a path wraps over, and where: as core/kinematics/paths/wrapped_path.py decides, from the
  * points and poses of now alone.
  */
 #define MOST_SOLVED 48  /* lines over surfaces that one search may look at */

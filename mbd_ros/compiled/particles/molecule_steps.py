@@ -10,11 +10,11 @@ import numpy as np
 from mbd_ros.compiled.build.compiler import lanes as lanes_of_processor
 from mbd_ros.compiled.build.library import Library, load
 from mbd_ros.compiled.code.emit import emit
-from mbd_ros.core.particles.molecules import Molecules
-from mbd_ros.core.particles.settle import SettledCluster, corrections, velocity_changes
-from mbd_ros.core.particles.verlet_steps import KindSteps
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.particles.molecules import Molecules
+from mbd_ros.methods.particles.settle import SettledCluster, corrections, velocity_changes
+from mbd_ros.methods.particles.verlet_steps import KindSteps
 
 _DRIVER = Path(__file__).parents[1] / "native" / "molecules.h"
 _COORDINATES = 9

@@ -7,8 +7,8 @@ import numpy as np
 
 from mbd_ros.compiled.build.library import load
 from mbd_ros.compiled.code.source import Source
-from mbd_ros.core.particles.pairs import NearPairs, PairModel
 from mbd_ros.core.state import Array
+from mbd_ros.methods.particles.pairs import NearPairs, PairModel
 
 _FILE = Path(__file__).parents[1] / "native" / "pairs.c"
 

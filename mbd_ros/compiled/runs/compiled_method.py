@@ -8,27 +8,22 @@ import numpy as np
 
 from mbd_ros.compiled.build.library import Library, load
 from mbd_ros.compiled.build.verify import verify
-from mbd_ros.compiled.code.searches import emitted
-from mbd_ros.compiled.runs.mode_stepper import ModeStepper
-from mbd_ros.compiled.runs.native_run import NativeRun
-from mbd_ros.compiled.runs.native_source import Sizes, with_integrators
-from mbd_ros.compiled.runs.native_stepper import NativeStepper
-from mbd_ros.compiled.runs.native_types import Status
+from mbd_ros.compiled.code.emit import emitted
+from mbd_ros.compiled.runs.native_run import NativeRun, Sizes, Status, with_integrators
+from mbd_ros.compiled.runs.native_stepper import ModeStepper, NativeStepper
 from mbd_ros.compiled.symbols.trace import Traced, trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.contact_modes.row_distances import Reach
+from mbd_ros.core.contracts import type_name
 from mbd_ros.core.dynamics.world_axes import InWorldAxes
-from mbd_ros.core.events.event_steps import EventSteps
-from mbd_ros.core.events.mode_field import ModeField
-from mbd_ros.core.integration.blocks import BlockStepper, HeldTable, SampleBlock
-from mbd_ros.core.integration.linear_motion import LinearMotion
-from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.integration.world_axes_steps import TurnedSteps
-from mbd_ros.core.memory import Memory, copied, is_same
-from mbd_ros.core.names import type_name
-from mbd_ros.core.projection.stabilization import Stabilization
-from mbd_ros.core.simulation.stepper_of import happenings, prepared
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Memory, State, copied, is_same
+from mbd_ros.methods.events.event_steps import EventSteps
+from mbd_ros.methods.events.mode_field import ModeField
+from mbd_ros.methods.integration.adapted_steps import TurnedSteps
+from mbd_ros.methods.integration.linear_motion import LinearMotion
+from mbd_ros.methods.integration.stepping import BlockStepper, HeldTable, Integrator, SampleBlock
+from mbd_ros.methods.projection.assembly import Stabilization
+from mbd_ros.methods.simulation.checked_steps import happenings, prepared
 
 # Native runs between events, which plain Python locates.
 

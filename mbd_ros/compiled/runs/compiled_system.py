@@ -5,10 +5,72 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.compiled.build.library import Library, NativeFunction
-from mbd_ros.compiled.runs.compiled_balance import CompiledBalance
 from mbd_ros.compiled.symbols.trace import Traced
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
 from mbd_ros.core.state import NONE, Array, Mode, State
+
+# ---- compiled balance -------------------------------------------------------------------------
+# The force that lacks for the equation of motion, from native code.
+
+
+class CompiledBalance:
+    """As `mbd_ros.core.dynamics.linearization.Balance`, with slopes to rounding.
+
+    Args:
+        system: The system.
+        force: The native function `balance`.
+        slopes: The native function `balance_slopes`.
+        size: nv, or nv + nz where internal states stand beside velocities.
+    """
+
+    def __init__(
+        self, system: "CompiledSystem", force: NativeFunction, slopes: NativeFunction, size: int
+    ) -> None:
+        self._system, self._force, self._slopes = system, force, slopes
+        self._nq, self._nv, self._size = system.system.nq, system.system.nv, size
+
+    def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:
+        """As `Balance.force`."""
+        self._call(self._force, t, q, v, u, a, lam)
+        force, rates = self._force.results
+        if self._size == self._nv:
+            return force.copy()
+        return np.concatenate((force, rates - a[self._nv :]))
+
+    def slopes(
+        self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array
+    ) -> tuple[Array, Array]:
+        """As `Balance.slopes`."""
+        self._call(self._slopes, t, q, v, u, a, lam)
+        n, size = self._nv, self._size
+        by_q, by_v = np.zeros((2, size, size))
+        places = by_q[:, :n], by_v[:, :n], by_v[:, n:]
+        for values, place in zip(self._slopes.results, places, strict=True):
+            width = place.shape[1]
+            place[...] = values[: size * width].reshape(width, size).T
+        return by_q, by_v
+
+    def _call(
+        self,
+        native: NativeFunction,
+        t: float,
+        q: Array,
+        v: Array,
+        u: Array | None,
+        a: Array,
+        lam: Array,
+    ) -> None:
+        n = self._nv
+        values = t, q[: self._nq], v[:n], v[n:], self._system.inputs(t, u)
+        for argument, value in zip(native.arguments[:5], values, strict=True):
+            argument[...] = value
+        native.arguments[6][...], native.arguments[7][...] = a[:n], lam
+        native()
+        self._system.calls += 1
+
+
+# ---- compiled system --------------------------------------------------------------------------
+# A system whose accelerations and derivatives come from native code.
 
 
 class CompiledSystem:
@@ -63,7 +125,7 @@ class CompiledSystem:
         return parts[0]._replace(rates=parts[1] if self._has_internals else None)
 
     def balance(self, whole: Any) -> CompiledBalance:
-        """As `core.dynamics.residual_force.Balance`, of this system or of it with internal states."""
+        """As `core.dynamics.linearization.Balance`, of this system or of it with internal states."""
         names = "balance", "balance_slopes"
         force, slopes = (self._function(name) for name in names)
         return CompiledBalance(self, force, slopes, whole.nv)

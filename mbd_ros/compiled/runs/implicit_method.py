@@ -8,20 +8,20 @@ import numpy as np
 from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.library import Library, load
 from mbd_ros.compiled.build.verify import plain_rates, some_inputs, some_state, verify
-from mbd_ros.compiled.code.searches import emitted
+from mbd_ros.compiled.code.emit import emitted
 from mbd_ros.compiled.runs.compiled_method import Say, silent
 from mbd_ros.compiled.runs.compiled_system import CompiledSystem
 from mbd_ros.compiled.symbols.trace import Traced, trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.dynamics.extended import Extended
-from mbd_ros.core.dynamics.residual_force import Balance
+from mbd_ros.core.dynamics.internal_dynamics import Extended
+from mbd_ros.core.dynamics.linearization import Balance
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.integration.linear_motion import LinearMotion
-from mbd_ros.core.integration.stepping import Integrator, Stepper
-from mbd_ros.core.projection.stabilization import Stabilization
-from mbd_ros.core.simulation.stepper_of import happenings, prepared
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import MbdError
+from mbd_ros.methods.integration.linear_motion import LinearMotion
+from mbd_ros.methods.integration.stepping import Integrator, Stepper
+from mbd_ros.methods.projection.assembly import Stabilization
+from mbd_ros.methods.simulation.checked_steps import happenings, prepared
 
 # Compiled derivatives beside differences of the plain tier.
 

@@ -11,13 +11,13 @@ from mbd_ros.compiled.build.verify import verify
 from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
 from mbd_ros.compiled.runs.lane_runs import LaneRuns
-from mbd_ros.compiled.runs.native_source import with_integrators
+from mbd_ros.compiled.runs.native_run import with_integrators
 from mbd_ros.compiled.symbols.trace import Traced
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.names import type_name
-from mbd_ros.core.projection.stabilization import Stabilization
+from mbd_ros.core.contracts import type_name
 from mbd_ros.core.state import Array
+from mbd_ros.methods.integration.stepping import Integrator
+from mbd_ros.methods.projection.assembly import Stabilization
 
 
 def lane_runs(

@@ -8,12 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.compiled.build.aligned import aligned
-from mbd_ros.compiled.build.library import Library
-from mbd_ros.compiled.runs.method_options import method_options
-from mbd_ros.compiled.runs.native_source import Sizes
-from mbd_ros.core.integration.stepping import Integrator
+from mbd_ros.compiled.build.library import Library, aligned
+from mbd_ros.compiled.runs.native_run import Sizes, method_options
 from mbd_ros.core.state import Array
+from mbd_ros.methods.integration.stepping import Integrator
 
 _AT_ONCE = 4  # times the lanes: runs that a thread takes together
 

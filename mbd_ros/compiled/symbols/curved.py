@@ -4,9 +4,9 @@ from typing import Any
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols import link_rotations as turns
-from mbd_ros.compiled.symbols.link_rotations import Vector, cross, dot, plus, times
-from mbd_ros.compiled.symbols.moving_tree import rotation_of
+from mbd_ros.compiled.symbols.tree import link_rotations as turns
+from mbd_ros.compiled.symbols.tree.link_rotations import Vector, cross, dot, plus, times
+from mbd_ros.compiled.symbols.tree.moving_tree import rotation_of
 
 _BASE_V = 6
 _SMALL = 0.5  # square of a turn below which series serve [rad^2]

@@ -1,17 +1,29 @@
 """The equations of motion of a system as expressions of symbols."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import casadi as ca
+import numpy as np
 
-from mbd_ros.compiled.symbols import link_rotations as turns
-from mbd_ros.compiled.symbols.coordinates import Coordinates
 from mbd_ros.compiled.symbols.curved import CurvedChart, turn_rate, turned
-from mbd_ros.compiled.symbols.dynamics import TreeDynamics, choices
 from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
-from mbd_ros.compiled.symbols.link_rotations import (
+from mbd_ros.compiled.symbols.mode_switches import SwitchedRows
+from mbd_ros.compiled.symbols.motion import (
+    Held,
+    Margin,
+    Motion,
+    Pushes,
+    Solution,
+    YieldingRows,
+    softness,
+)
+from mbd_ros.compiled.symbols.rows import Coordinates, Rows, rows_of
+from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
+from mbd_ros.compiled.symbols.tree import link_rotations as turns
+from mbd_ros.compiled.symbols.tree.dynamics import TreeDynamics, choices
+from mbd_ros.compiled.symbols.tree.link_rotations import (
     ZERO,
     Vector,
     cross,
@@ -20,19 +32,43 @@ from mbd_ros.compiled.symbols.link_rotations import (
     through,
     transposed,
 )
-from mbd_ros.compiled.symbols.links import Tree, tree_of, with_armature
-from mbd_ros.compiled.symbols.mode_switches import SwitchedRows
-from mbd_ros.compiled.symbols.motion import Held, Motion, Pushes, Solution
-from mbd_ros.compiled.symbols.moving_tree import rotation_of
-from mbd_ros.compiled.symbols.parts_of import Made, parts_of, with_part
-from mbd_ros.compiled.symbols.row_rank import softness
-from mbd_ros.compiled.symbols.rows import Rows, rows_of
-from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
-from mbd_ros.compiled.symbols.unilateral_rows import Margin, YieldingRows
+from mbd_ros.compiled.symbols.tree.links import Tree, tree_of, with_armature
+from mbd_ros.compiled.symbols.tree.moving_tree import rotation_of
 from mbd_ros.compiled.symbols.untraceable import tracing
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.rows.row_layout import RowBlock
+from mbd_ros.core.rows.constraint_rows import RowBlock
 from mbd_ros.core.state import Mode, State
+
+# ---- parts of ---------------------------------------------------------------------------------
+# Parts with symbols for some of their numbers.
+
+
+Made = Callable[[Mapping[str, Any]], Mapping[str, Any]]
+
+
+def parts_of(made: Made, parameters: Sequence[str], p: Any) -> Mapping[str, Any]:
+    """Parts of symbols by name; none without parameters."""
+    if not parameters:
+        return {}
+    given = dict(zip(parameters, numbers(p), strict=True))
+    with tracing(", ".join(parameters)):
+        return made(given)
+
+
+def with_part(block: RowBlock, part: Any) -> RowBlock:
+    """A block of rows of another part of the same form."""
+    if part is block.part:
+        return block
+    given: Any = (np.asarray(one, dtype=object) for one in part.gains)
+    gains = tuple(np.broadcast_to(one, len(block.rows)) for one in given)
+    if not any(map(np.any, block.gains)):  # rows that are on exactly
+        gains = block.gains
+    return block._replace(part=part, law=part.law, gains=gains)
+
+
+# ---- equations --------------------------------------------------------------------------------
+# The equations of motion of a system as expressions of symbols.
+
 
 # Velocities of free bodies in the axes of the world, in symbols; see `core.dynamics.world_axes`.
 #

@@ -1,4 +1,4 @@
-"""Equations of motion in implicit form, and derivatives of accelerations that follow from it.
+"""Equations of motion in implicit form, and derivatives that follow from it.
 
     r = (G' (M a + h - tau) - J' lam, J y'' + b),   a = G y'' + drift
 
@@ -14,14 +14,19 @@ from typing import TYPE_CHECKING, Any
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols.link_rotations import ZERO
-from mbd_ros.compiled.symbols.moving_tree import rotation_of
 from mbd_ros.compiled.symbols.scalar import scalars
+from mbd_ros.compiled.symbols.tree.link_rotations import ZERO
+from mbd_ros.compiled.symbols.tree.moving_tree import rotation_of
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 
 if TYPE_CHECKING:
-    from mbd_ros.compiled.symbols.dynamics import TreeDynamics
     from mbd_ros.compiled.symbols.equations import Equations
+    from mbd_ros.compiled.symbols.tree.dynamics import TreeDynamics
+
+
+# ---- implicit ---------------------------------------------------------------------------------
+# Equations of motion in implicit form, and derivatives of accelerations that follow from it.
+
 
 _BASE_V = 6
 MOST = 100_000  # operations: more of them gain nothing over differences
@@ -120,3 +125,23 @@ def energy(equations: "Equations") -> list[Any]:
         for g, one in zip(tree.gravity.tolist(), moment, strict=True):
             potential -= g * one
     return [kinetic, potential]
+
+
+# ---- balance ----------------------------------------------------------------------------------
+# The force that lacks for the equation of motion as expressions, and its slopes.
+
+
+def balance(equations: "Equations") -> list[Any]:
+    """The force tau - h - M a + J' lam, shape (nv,), and the rates of the internal states."""
+    a, lam = (scalars(equations.symbols[key]) for key in "al")
+    return [-residual(equations, a, lam)[: equations.nv], equations.rates]
+
+
+def slopes(equations: "Equations") -> list[Any]:
+    """Of both, stacked, by steps of q, by v and by z, each of shape (nv + nz, ..)."""
+    both = ca.vertcat(*balance(equations))
+    found = []
+    for letter in "qvz":
+        by = ca.jacobian(both, equations.symbols[letter])
+        found.append(in_tangent(equations, letter, by))
+    return found

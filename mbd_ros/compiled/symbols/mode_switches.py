@@ -11,11 +11,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols.link_rotations import ONE, ZERO
-from mbd_ros.compiled.symbols.motion import largest
+from mbd_ros.compiled.symbols.motion import YieldingRows, is_open, largest
 from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.scalar import plain
-from mbd_ros.compiled.symbols.unilateral_rows import YieldingRows, is_open
+from mbd_ros.compiled.symbols.tree.link_rotations import ONE, ZERO
 from mbd_ros.core.contact_modes.contact_modes import PASSED
 from mbd_ros.core.contact_modes.row_distances import Reach
 

@@ -3,10 +3,10 @@
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from mbd_ros.core.paths.wrapping.cylinder import Cylinder
-from mbd_ros.core.paths.wrapping.ellipsoid import Ellipsoid
-from mbd_ros.core.paths.wrapping.sphere import Sphere
-from mbd_ros.core.paths.wrapping.torus import Torus
+from mbd_ros.core.kinematics.paths.cylinder import Cylinder
+from mbd_ros.core.kinematics.paths.ellipsoid import Ellipsoid
+from mbd_ros.core.kinematics.paths.sphere import Sphere
+from mbd_ros.core.kinematics.paths.torus import Torus
 
 NATIVE = Path(__file__).parents[1] / "native"
 SURFACES = (Cylinder, Sphere, Ellipsoid, Torus)  # in the order of `kind` of native/surfaces.h

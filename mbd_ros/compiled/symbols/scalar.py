@@ -1,17 +1,22 @@
-"""Numbers that parts calculate with while they are traced.
+"""Numbers and arrays that parts calculate with while they are traced.
 
 They stand in numpy arrays of objects, so that parts index, stack and multiply them as they do
 numbers. What is known stays a float, so zeros and ones cost nothing.
 """
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import casadi as ca
 import numpy as np
 
+from mbd_ros.compiled.symbols.tree.link_rotations import Matrix, Vector
 from mbd_ros.compiled.symbols.untraceable import Untraceable
+
+# ---- scalar -----------------------------------------------------------------------------------
+# Numbers that parts calculate with while they are traced.
+
 
 Number = Any  # float or Scalar
 MOST_PIECES = 1000  # numbers of a table that is traced: each costs four operations
@@ -229,4 +234,26 @@ def _filled(shape: tuple[int, ...], values: Iterable[Any]) -> Any:
     flat = found.reshape(-1)
     for i, value in enumerate(values):
         flat[i] = value
+    return found
+
+
+# ---- arrays -----------------------------------------------------------------------------------
+# Expressions as arrays of numbers that parts understand.
+
+
+def vector(values: Vector) -> Any:
+    """Three expressions as an array of numbers, shape (3,)."""
+    return objects(values)
+
+
+def matrix(rows: Matrix) -> Any:
+    """Nine expressions as an array of numbers, shape (3, 3)."""
+    return np.array([objects(row) for row in rows], dtype=object)
+
+
+def objects(values: Sequence[Any]) -> Any:
+    """Expressions as a vector of numbers."""
+    found = np.empty(len(values), dtype=object)
+    for i, value in enumerate(values):
+        found[i] = number(value)
     return found

@@ -8,7 +8,7 @@ import casadi as ca
 from mbd_ros.compiled.symbols.path_tables import SURFACES
 from mbd_ros.compiled.symbols.scalar import numbers, plain
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-from mbd_ros.core.paths.wrapping.taut import Taut
+from mbd_ros.core.kinematics.paths.wrapped_path import Taut
 
 
 class SearchedPath(NamedTuple):

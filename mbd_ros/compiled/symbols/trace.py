@@ -5,22 +5,22 @@ from typing import Any
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols import balance, implicit
-from mbd_ros.compiled.symbols.equations import Equations
-from mbd_ros.compiled.symbols.link_rotations import ZERO
+from mbd_ros.compiled.symbols import implicit
+from mbd_ros.compiled.symbols import implicit as balance
+from mbd_ros.compiled.symbols.equations import Equations, Made
 from mbd_ros.compiled.symbols.mode_switches import SwitchedRows
-from mbd_ros.compiled.symbols.parts_of import Made
-from mbd_ros.compiled.symbols.row_rank import health
+from mbd_ros.compiled.symbols.motion import health
 from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
 from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
+from mbd_ros.compiled.symbols.tree.link_rotations import ZERO
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.core.contact_modes.row_distances import Reach
-from mbd_ros.core.contracts.outputs import Now
+from mbd_ros.core.contracts import Now
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.events.part_guards import guarding
-from mbd_ros.core.multiplier_laws import Level
+from mbd_ros.core.rows.constraint import Level
 from mbd_ros.core.state import Mode
+from mbd_ros.methods.events.crossings import guarding
 
 # What the functions of a traced system give, one method a function.
 
@@ -360,7 +360,7 @@ def trace(
         parameters: Names of numbers that stay arguments.
         mode: Of rows that give way at events, as `State.mode`; needed where there are any. None
             for all modes at once: p ends with the mode then.
-        made: Makes parts from symbols by parameter: name -> part; see `scene.runs.symbolic_parts`.
+        made: Makes parts from symbols by parameter: name -> part; see `scene.runs.compiling`.
         in_world: Whether velocities of free bodies stand in the axes of the world, for functions
             that runs call; accelerations are their rates then.
 

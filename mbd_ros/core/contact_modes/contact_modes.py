@@ -9,8 +9,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from mbd_ros.core.contact_modes.event_contacts import EASED, ExactContacts
-from mbd_ros.core.contact_modes.mode_multipliers import Split
+from mbd_ros.core.contact_modes.mode_equations import EASED, ExactContacts, Split
 from mbd_ros.core.contact_modes.slip_directions import (
     begun,
     ends,

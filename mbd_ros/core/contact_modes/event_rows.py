@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.complementarity.bounded_rows import BoundedRows
 from mbd_ros.core.contact_modes.row_distances import Reach, RowHeights, reach_of
 from mbd_ros.core.kinematics.kinematics import Reads
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.rows.row_layout import RowBlock
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import TIE
 
@@ -136,7 +135,7 @@ class ExactRows:
         self._is_alone = n == len(rows.rows)  # no row is solved for in every evaluation
         if rows.cones:
             from mbd_ros.core.contact_modes.contact_modes import ContactModes
-            from mbd_ros.core.contact_modes.event_contacts import ExactContacts
+            from mbd_ros.core.contact_modes.mode_equations import ExactContacts
 
             self.contacts = ExactContacts(rows, self._at)
             self._modes = ContactModes(self.contacts)

@@ -1,23 +1,42 @@
-"""Contacts in a mode that is known: the equations of what is on, and nothing else.
+"""Contacts in a mode that is known: equations of what is on, and their multipliers.
 
-So most accelerations are found. Where the mode does not say what contacts do, or equations alone
-do not split their forces by the laws of contact, `ExactContacts` finds them as if for the first
-time.
+Sticking, the normal and the tangents of a contact are three equations. Slipping, friction is mu
+times the normal force against the slip velocity: the normal alone is an equation, and pushes along
+
+    D = n - mu d' t,   d = v_t / |v_t|
+
+so that the mobility J M^-1 D' is not symmetric. A ball that sticks rolls. What contacts do next
+is the subject of `contact_modes`. Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with
+Unilateral Contacts, 1996, ch. 5.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+import itertools
+import math
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import contextmanager
+from enum import Enum
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from mbd_ros.core.complementarity.contact_problem import ContactProblem
 from mbd_ros.core.contact_modes.slip_directions import direction, is_fine, slowest
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.optimization.redundant_equations import balanced, least_balanced
+from mbd_ros.core.optimization.box_qp import exchanged, least_norm
+from mbd_ros.core.optimization.least_norm import balanced, least_balanced
+from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, Mode, State
-from mbd_ros.core.thresholds import ZERO_ROW
+from mbd_ros.core.thresholds import TIE, ZERO_ROW
+from mbd_ros.errors import JammedError, SolveError
 
-if TYPE_CHECKING:
-    from mbd_ros.core.contact_modes.event_contacts import ExactContacts
+# ---- mode equations ---------------------------------------------------------------------------
+# Contacts in a mode that is known: the equations of what is on, and nothing else.
+#
+# So most accelerations are found. Where the mode does not say what contacts do, or equations alone
+# do not split their forces by the laws of contact, `ExactContacts` finds them as if for the first
+# time.
 
 
 class Balance(NamedTuple):
@@ -182,3 +201,426 @@ def contacts_in(
         return None
     known = ContactsInMode(rows, contacts, mode)
     return known if len(known.on) else None
+
+
+# ---- mode multipliers -------------------------------------------------------------------------
+# Multipliers of contacts at one state, beside those of the rows around them.
+#
+# In a mode they are what its equations ask for, of any sign: so events are located from smooth
+# motions. Where modes are looked for, and where contacts share a force that equations do not
+# split,
+# they keep the laws of contact. Among equal ones they have the smallest norm.
+
+
+_MINORS = 4096  # that are looked at
+_WITHIN = 1.0e-12  # of the largest multiplier: by which a law may be passed
+
+
+class Touch(Enum):
+    """How a contact touches at a state."""
+
+    OPEN = "open"
+    STICKS = "sticks"
+    SLIPS = "slips"
+    MAY_SLIP = "may slip"  # it slips, or opens
+    MAY = "may"  # it opens, sticks or begins to slip
+
+
+class Split(Enum):
+    """Whether equations alone say how contacts share their forces."""
+
+    ONE = "one"
+    LEAST = "least"  # they do not, and the least norm keeps the laws
+    LAWFUL = "lawful"  # another share of them does
+    NONE = "none"  # none does: the mode is over
+
+
+class ContactForces:
+    """Finds the multipliers of all rows that give way.
+
+    Args:
+        rows: The rows.
+
+    Attributes:
+        split: How the last ones were found.
+        grip: Share of the coefficients of friction that counts where modes are looked for.
+    """
+
+    def __init__(self, rows: ConstraintRows) -> None:
+        self._cones, self._names = rows.cones, [row.name for row in rows.rows]
+        self._starts = np.array([cone.slots.start for cone in rows.cones], dtype=np.intp)
+        self._of_contacts = (self._starts[:, None] + (0, 1, 2)).ravel()
+        self._mu = np.array([cone.mu for cone in rows.cones])
+        self.split, self.grip = Split.ONE, 1.0
+
+    def solve(
+        self,
+        A: Array,
+        w: Array,
+        bounds: tuple[Array, Array],
+        touches: Sequence[Touch],
+        *,
+        splits: bool = True,
+    ) -> Array:
+        """The multipliers, shape (m,), fresh.
+
+        Args:
+            A: Rates w that multipliers add, shape (m, m).
+            w: Those without them, shape (m,).
+            bounds: Smallest and largest multipliers; those of contacts follow from `touches`.
+            touches: One entry a contact.
+            splits: Whether it matters how contacts that stick share their force.
+
+        Raises:
+            SolveError: The rows that are on contradict one another, or no forces are found.
+        """
+        lower, upper = bounds[0].copy(), bounds[1].copy()
+        for start, touch in zip(self._starts.tolist(), touches, strict=True):
+            self._bound(lower, upper, start, touch)
+        self.split = Split.ONE
+        if Touch.MAY in touches or Touch.MAY_SLIP in touches:
+            return self.lawful(A, w, lower, upper, touches)
+        unit = self._units(A)
+        on = np.isinf(lower) & np.isinf(upper)
+        if not (on | (lower == upper)).all():
+            return _exchanged(A, w, lower, upper, unit)
+        lam = self._balanced(A, w, np.where(on, 0.0, lower), on, unit)
+        if self.split is Split.ONE or not (splits or Touch.SLIPS in touches):
+            return lam
+        if self.is_lawful(lam):
+            return lam
+        return self._shared(lam, A, w, bounds, touches)
+
+    def lawful(
+        self,
+        A: Array,
+        w: Array,
+        lower: Array,
+        upper: Array,
+        touches: Sequence[Touch],
+    ) -> Array:
+        """The multipliers that keep all laws, shape (m,).
+
+        Args:
+            A: As for `solve`.
+            w: As for `solve`.
+            lower: Smallest multipliers, those of contacts that may touch too, shape (m,).
+            upper: Largest ones, shape (m,).
+            touches: One entry a contact.
+
+        Raises:
+            SolveError: There are none.
+        """
+        acts = lower < upper
+        for start, touch in zip(self._starts.tolist(), touches, strict=True):
+            acts[start + 1 : start + 3] |= touch is Touch.MAY
+        on = np.flatnonzero(acts)
+        first = np.searchsorted(on, self._starts).tolist()
+        cones = tuple(
+            cone._replace(slots=slice(at, at + 3), mu=self.grip * cone.mu)
+            for cone, at, touch in zip(self._cones, first, touches, strict=True)
+            if touch is Touch.MAY
+        )
+        lam = np.where(acts, 0.0, lower)
+        own, rate = A[np.ix_(on, on)], (w + A.dot(lam))[on]
+        size = np.abs(own.diagonal())
+        speed = float((np.abs(rate) / np.sqrt(np.where(size > 0.0, size, 1.0))).max(initial=0.0))
+        names = [self._names[i] for i in on]
+        try:
+            problem = ContactProblem(own, own.diagonal(), names, cones)
+            lam[on] = problem.solve(rate, lower[on], upper[on], speed)
+        except SolveError as error:
+            slips = [at for at, touch in zip(first, touches, strict=True) if touch in _SLIPS]
+            if slips and _jams(own[np.ix_(slips, slips)]):
+                where = ", ".join(names[at] for at in slips)
+                raise JammedError(
+                    f"friction leaves {where} no consistent acceleration (Painlevé)"
+                ) from error
+            raise
+        return lam
+
+    def _shared(
+        self, lam: Array, A: Array, w: Array, bounds: tuple[Array, Array], touches: Sequence[Touch]
+    ) -> Array:
+        """A share of the same force among contacts that keeps their laws, if there is one."""
+        may = [_LAWS.get(touch, touch) for touch in touches]
+        lower, upper = bounds[0].copy(), bounds[1].copy()
+        for start, touch in zip(self._starts.tolist(), may, strict=True):
+            self._bound(lower, upper, start, touch)
+        self.split = Split.NONE
+        try:
+            found = self.lawful(A, w, lower, upper, may)
+        except SolveError:
+            return lam
+        left, terms = A.dot(found) + w, np.abs(A).dot(np.abs(found)) + np.abs(w)
+        size = np.sqrt(np.abs(A.diagonal()))
+        terms += size * (size * np.abs(found)).max()  # rounding of forces that cancel there
+        on = np.zeros(len(w), dtype=np.bool_)
+        for start, touch in zip(self._starts.tolist(), touches, strict=True):
+            on[start : start + 3] = touch is Touch.STICKS
+            on[start] |= touch is Touch.SLIPS
+        if (np.abs(left) > TIE * terms)[on].any():
+            return lam
+        self.split = Split.LAWFUL
+        return found
+
+    def _balanced(
+        self, A: Array, w: Array, bound: Array, on: NDArray[np.bool_], unit: Array
+    ) -> Array:
+        """The multipliers with w = 0 of rows that are on; the smallest where they are several."""
+        lam, rows = np.where(on, 0.0, bound), np.flatnonzero(on)
+        if not len(rows):
+            return lam
+        right = (w + A.dot(lam))[rows]
+        found, is_split = least_balanced(A[np.ix_(rows, rows)], right, unit[rows])
+        if is_split:
+            self.split = Split.LEAST
+        lam[rows] = found
+        return lam
+
+    def is_lawful(self, lam: Array) -> bool:
+        """Whether multipliers of contacts that touch push, inside their cones."""
+        push = lam[self._of_contacts].reshape(-1, 3)
+        slack = _WITHIN * float(np.abs(push).max(initial=0.0))
+        friction = np.sqrt(np.einsum("ij,ij->i", push[:, 1:], push[:, 1:]))
+        return bool((np.maximum(friction, 0.0) <= self._mu * push[:, 0] + slack).all())
+
+    def _units(self, A: Array) -> Array:
+        """Multipliers that change the rates of rows about alike, shape (m,)."""
+        size = np.abs(A.diagonal())
+        each = size[self._of_contacts].reshape(-1, 3)
+        each[:, 0] = each.max(axis=1)  # friction may take from the normal what it moves
+        size[self._of_contacts] = each.ravel()
+        still = size <= ZERO_ROW * float(size.max(initial=0.0))
+        return np.asarray(1.0 / np.sqrt(np.where(still, 1.0, size)))
+
+    @staticmethod
+    def _bound(lower: Array, upper: Array, start: int, touch: Touch) -> None:
+        """Set the bounds of the three rows of a contact."""
+        lower[start : start + 3], upper[start : start + 3] = 0.0, 0.0
+        if touch is Touch.STICKS:
+            lower[start : start + 3], upper[start : start + 3] = -np.inf, np.inf
+        elif touch is Touch.SLIPS:
+            lower[start], upper[start] = -np.inf, np.inf
+        elif touch is not Touch.OPEN:
+            upper[start] = np.inf
+
+
+_SLIPS = Touch.SLIPS, Touch.MAY_SLIP
+_LAWS = {Touch.STICKS: Touch.MAY, Touch.SLIPS: Touch.MAY_SLIP}
+
+
+def _exchanged(A: Array, w: Array, lower: Array, upper: Array, unit: Array) -> Array:
+    """Multipliers of rows that hold or are at a bound, for any A."""
+    still = A.diagonal() == 0.0
+    scaled = unit[:, None] * A * unit + np.diag(np.where(still, 1.0, 0.0))
+    found = exchanged(scaled, unit * w, lower / unit, upper / unit, solve=least_norm)
+    if found is None:
+        raise SolveError("no forces are found for a contact that slips and the rows beside it")
+    return unit * found
+
+
+def _jams(A: Array) -> bool:
+    """Whether normal forces of slips may have no solution: A is not a P-matrix.
+
+    Source: F. Génot, B. Brogliato, New results on Painlevé paradoxes, Eur. J. Mech. A 18, 1999.
+    """
+    n = len(A)
+    minors = (s for k in range(1, n + 1) for s in itertools.combinations(range(n), k))
+    return any(np.linalg.det(A[np.ix_(s, s)]) <= 0.0 for s in itertools.islice(minors, _MINORS))
+
+
+# ---- event contacts ---------------------------------------------------------------------------
+# Contacts with friction among rows that give way at events: open, sticking or slipping.
+
+
+_TOGETHER = 100.0  # times a slip that counts as none: those of others that end with it
+EASED = 1.0e-6  # of friction: so little less shows how contacts begin to move
+
+
+class Solved(NamedTuple):
+    """What rows that give way do at one state.
+
+    Attributes:
+        lam: Their multipliers, shape (m,).
+        force: Of these on all joints, shape (nv,).
+        added: Accelerations of all joints by it, shape (nv,).
+        left: The w of the rows, shape (m,).
+        terms: Size of the terms in w, shape (m,).
+    """
+
+    lam: Array
+    force: Array
+    added: Array
+    left: Array
+    terms: Array
+
+
+class ExactContacts:
+    """The contacts of a scene among all of its rows that give way.
+
+    Args:
+        rows: The rows.
+        at: Which of them go from event to event, shape (n,).
+
+    Attributes:
+        normals: Where the normals stand among these, their tangents behind them, shape (c,).
+        names: Of the contacts.
+        mu: Their coefficients of friction, shape (c,).
+        forces: What finds their multipliers.
+        moving: Their slips in the last solve, shape (2,) each; None where one is none.
+        slowest: What counted as none there.
+    """
+
+    def __init__(self, rows: ConstraintRows, at: NDArray[np.intp]) -> None:
+        starts = [cone.slots.start for cone in rows.cones]
+        self.normals: list[int] = np.searchsorted(at, starts).tolist()
+        self.names = tuple(cone.name for cone in rows.cones)
+        self._rows, self.mu = rows, np.array([cone.mu for cone in rows.cones])
+        self._starts = np.array(starts, dtype=np.intp)
+        self._tangents = self._starts[:, None] + (1, 2)
+        self._flat = self._tangents.ravel()
+        self._parts = [block.part for block in rows.blocks if block.law.kind is Kind.CONE]
+        self.forces = ContactForces(rows)
+        self._known: tuple[Mode, ContactsInMode | None] = ((), None)
+        self._asked: tuple[Any, bool, Balance | None] = ((), False, None)
+        self._count, self._has_no_others = len(at), len(rows.rows) == 3 * len(starts)
+        self.moving: list[Array | None] = [None] * len(starts)
+        self.slowest = 0.0
+
+    def solve(
+        self,
+        motion: Any,
+        q: Array,
+        x: State,
+        a: Array,
+        bounds: tuple[Array, Array],
+        mode: Mode,
+        free: Collection[int],
+        *,
+        splits: bool = True,
+    ) -> Solved:
+        """Multipliers and accelerations in a mode of the contacts.
+
+        Args:
+            motion: The `FreeMotion` without rows that give way.
+            q: Integrated configuration.
+            x: State of all joints, with k refreshed.
+            a: Accelerations of all joints without the rows.
+            bounds: Smallest and largest multipliers of all rows.
+            mode: One entry each of the rows that go from event to event.
+            free: Those whose mode is looked for.
+            splits: Whether it matters how contacts that stick share their force.
+
+        Raises:
+            SolveError: The rows that are on contradict one another, or no forces are found.
+        """
+        k = motion.mechanism.k
+        J, b = self._rows.conditions(k, x)
+        touches, along = self._touches(self.slips_by(k, J, x), slowest(x), mode, free)
+        D = self._pushes(J, along)
+        response = motion.respond(q, D.T)
+        A, w = J.dot(response), J.dot(a) + b
+        lam = self.forces.solve(A, w, bounds, touches, splits=splits)
+        left, terms = A.dot(lam) + w, np.abs(A).dot(np.abs(lam)) + np.abs(w)
+        size = np.sqrt(np.abs(A.diagonal()))
+        terms += size * (size * np.abs(lam)).max()  # rounding of forces that cancel there
+        force, added = D.T.dot(lam), response.dot(lam)
+        for i, d in along.items():
+            lam[self._tangents[i]] = -self.mu[i] * lam[self._starts[i]] * d
+        return Solved(lam, force, added, left, terms)
+
+    def balance(
+        self, motion: Any, q: Array, x: State, a: Array, mode: Mode, *, splits: bool
+    ) -> Balance | None:
+        """The same where the mode says what contacts do; None where it does not.
+
+        Args:
+            motion: As for `solve`.
+            q: As for `solve`.
+            x: As for `solve`.
+            a: As for `solve`.
+            mode: As for `solve`; all of it is known.
+            splits: As for `solve`.
+
+        Raises:
+            SolveError: The rows that are on contradict one another.
+        """
+        t = None if self._has_no_others else x.t  # stages sum the same time in other ways
+        asked = mode, t, x.q.tobytes(), x.v.tobytes(), x.z.tobytes(), a.tobytes()
+        before, had_splits, found = self._asked
+        if found is None or asked != before or (splits and not had_splits):
+            if mode != self._known[0]:
+                self._known = mode, contacts_in(self._rows, self, self._count, mode)
+            known = self._known[1]
+            found = None if known is None else known.solve(motion, q, x, a, splits=splits)
+            self._asked = asked, splits, found
+        if found is not None:
+            self.forces.split = Split.LEAST if found.is_split else Split.ONE
+            self.moving, self.slowest = [None] * len(self.normals), slowest(x)
+            for c, slip in found.moving.items():
+                self.moving[c] = slip
+        return found
+
+    def slips(self, k: Kinematics, x: State) -> Array:
+        """The velocities v_t of the points along their planes, shape (c, 2)."""
+        every = [part.jacobian(k, x).dot(x.v) for part in self._parts]
+        slips: Array = (np.concatenate(every).reshape(-1, 3) + self._rates(k, x))[:, 1:]
+        return slips
+
+    def slips_by(self, k: Kinematics, J: Array, x: State) -> Array:
+        """The same, where J of all rows is known."""
+        slips: Array = J[self._flat].dot(x.v).reshape(-1, 2) + self._rates(k, x)[:, 1:]
+        return slips
+
+    def _rates(self, k: Kinematics, x: State) -> Array:
+        """The part of these that surfaces move by themselves, with normals, shape (c, 3)."""
+        return np.concatenate([part.rate(k, x) for part in self._parts]).reshape(-1, 3)
+
+    @property
+    def shares(self) -> bool:
+        """Whether equations alone did not split the forces of the last solve."""
+        return self.forces.split is not Split.ONE
+
+    @contextmanager
+    def eased(self) -> Iterator[None]:
+        """Where modes are looked for inside, friction is a little smaller."""
+        self.forces.grip = 1.0 - EASED
+        try:
+            yield
+        finally:
+            self.forces.grip = 1.0
+
+    def _touches(
+        self, slips: Array, slow: float, mode: Mode, free: Collection[int]
+    ) -> tuple[list[Touch], dict[int, Array]]:
+        """How every contact touches, and along which directions which of them slip."""
+        touches, along = list[Touch](), dict[int, Array]()
+        self.moving, self.slowest = [None] * len(self.normals), slow
+        for c, i in enumerate(self.normals):
+            is_free, name = i in free, mode[i + 1 : i + 3]
+            if not is_free and mode[i]:
+                touches.append(Touch.OPEN)
+            elif not is_free and not any(name):
+                touches.append(Touch.STICKS)
+            else:
+                size = math.hypot(*slips[c])
+                none = _TOGETHER * slow if is_free else slow
+                is_slow = size <= none and (is_free or not is_fine(name))
+                if not is_slow:
+                    self.moving[c] = slips[c]
+                if is_slow and self.mu[c] > 0.0:
+                    touches.append(Touch.MAY)
+                    continue
+                along[c] = direction(slips[c], () if is_free else name)
+                touches.append(Touch.MAY_SLIP if is_free else Touch.SLIPS)
+        return touches, along
+
+    def _pushes(self, J: Array, along: dict[int, Array]) -> Array:
+        """D: the normals with friction, shape (m, nv)."""
+        if not along:
+            return J
+        D = J.copy()
+        for c, d in along.items():
+            D[self._starts[c]] -= self.mu[c] * d.dot(J[self._tangents[c]])
+        return D

@@ -6,14 +6,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.multiplier_laws import Kind, Level
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.rows.row_layout import RowBlock
+from mbd_ros.core.rows.constraint import Kind, Level
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import ON_SURFACE
 
 if TYPE_CHECKING:
-    from mbd_ros.core.contact_modes.event_contacts import ExactContacts
+    from mbd_ros.core.contact_modes.mode_equations import ExactContacts
 
 _CORRECTIONS = 4
 _KNOWN = 4  # configurations: an event asks often at the start and the end of its step

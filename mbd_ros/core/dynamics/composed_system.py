@@ -6,23 +6,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mbd_ros.core.complementarity.bounded_rows import BoundedRows
-from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.linearization import Linearization, mode_at
 from mbd_ros.core.dynamics.mass import Mass
-from mbd_ros.core.dynamics.rigid_rows import RigidRows
-from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
+from mbd_ros.core.dynamics.mechanism import RigidRows
+from mbd_ros.core.dynamics.system import Accelerator, Derivatives, FreeMotion, System
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.rows.constraint import Row
-from mbd_ros.core.rows.row_factor import RowFactor
-from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.rows.constraint_rows import RowLayout
+from mbd_ros.core.rows.delassus import RowFactor
 from mbd_ros.core.state import NONE, Array, Evaluation, Mode, State
 from mbd_ros.errors import SolveError
 
 if TYPE_CHECKING:
     from mbd_ros.core.contact_modes.event_rows import ExactRows
-    from mbd_ros.core.dynamics.extended import Extended
-    from mbd_ros.core.dynamics.free_derivatives import FreeDerivatives
+    from mbd_ros.core.dynamics.internal_dynamics import Extended
+    from mbd_ros.core.dynamics.linearization import FreeDerivatives
 
 from typing import TYPE_CHECKING
 
@@ -178,7 +177,7 @@ class ComposedSystem:
         self._whole: Extended | None = None
         self._free: FreeDerivatives | None = None
         if internals.nz:
-            from mbd_ros.core.dynamics import extended
+            from mbd_ros.core.dynamics import internal_dynamics as extended
 
             self._whole = extended.Extended(self)
         self._integrated = self if self._whole is None else self._whole
@@ -252,7 +251,7 @@ class ComposedSystem:
         """Derivatives of y'', to about 1e-6 by differences; as `System.derivatives`."""
         if self.tier == "aba" and self.bounded is None and self.exact is None:
             if self._free is None:
-                from mbd_ros.core.dynamics.free_derivatives import FreeDerivatives
+                from mbd_ros.core.dynamics.linearization import FreeDerivatives
 
                 self._free = FreeDerivatives(self._mechanism, self.chart, self.internals)
             return self._free.at(y, u, inputs=inputs)

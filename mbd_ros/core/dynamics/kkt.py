@@ -9,11 +9,9 @@ import eigenpy
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.all_joints import AllJoints
-from mbd_ros.core.dynamics.free_motion import writing
-from mbd_ros.core.dynamics.mechanism import Mechanism
-from mbd_ros.core.dynamics.rigid_rows import RigidRows
-from mbd_ros.core.dynamics.system import Accelerator
+from mbd_ros.core.dynamics.mechanism import Mechanism, RigidRows
+from mbd_ros.core.dynamics.open_chain import AllJoints
+from mbd_ros.core.dynamics.system import Accelerator, writing
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import HELD_BY_ROWS, NEAR_TOGGLE
 from mbd_ros.errors import SolveError

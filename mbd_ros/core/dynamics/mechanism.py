@@ -1,12 +1,21 @@
-"""A robot with its `Data` and what acts on its joints, which the tiers are composed of."""
+"""A robot with what acts on its joints and with rows that hold; answers to impulses."""
 
+from copy import copy
+
+import eigenpy
 import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.rows.constraint import Row
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.delassus import RowFactor, UsualSizes, usual_sizes
 from mbd_ros.core.state import NONE, Array, Mode, State
+
+# ---- mechanism --------------------------------------------------------------------------------
+# A robot with its `Data` and what acts on its joints, which the tiers are composed of.
 
 
 class Mechanism:
@@ -76,3 +85,142 @@ class Mechanism:
         for load in self.loads.heavy:
             stored += 0.5 * float(x.v.dot(load.inertia(self.k, x)).dot(x.v))
         return stored + self.loads.potential(self.k, x)
+
+
+# ---- rigid rows -------------------------------------------------------------------------------
+# Rows of a mechanism that hold whatever multipliers that takes.
+
+
+class RigidRows:
+    """g(t, q) = 0 of all joints.
+
+    Args:
+        mechanism: The mechanism.
+        constraints: The rows.
+        sizes: What masses and rows usually are, where that is known.
+
+    Attributes:
+        constraints: As given.
+        rows: One entry a row.
+        sizes: What masses and rows usually are; None without rows.
+        condition: Condition number of the rows in the mass metric when last factorised, for
+            reports; 1 without rows.
+    """
+
+    def __init__(
+        self, mechanism: Mechanism, constraints: ConstraintRows, sizes: UsualSizes | None = None
+    ) -> None:
+        self._mechanism, self.constraints = mechanism, constraints
+        self.rows: tuple[Row, ...] = constraints.rows
+        self._of_g, self._of_J = (
+            min(constraints.reads, reads) for reads in (Reads.POSITION, Reads.JACOBIAN)
+        )
+        self.condition = 1.0
+        self.sizes = sizes
+        if sizes is None and self.rows:
+            self.sizes = usual_sizes(mechanism.robot, self._at)
+        self._usual = None if self.sizes is None else self.sizes.mobility
+
+    def residual(self, t: float, q: Array) -> Array:
+        """g(t, q), shape (m,); 0 for rows of velocities."""
+        x = self._mechanism.placed(t, q, self._of_g)
+        return self.constraints.residual(self._mechanism.k, x)
+
+    def jacobian(self, t: float, q: Array) -> Array:
+        """dg/dq, shape (m, nv), fresh."""
+        x = self._mechanism.placed(t, q, self._of_J)
+        return self.constraints.jacobian(self._mechanism.k, x)
+
+    def rate(self, t: float, q: Array) -> Array:
+        """dg/dt, shape (m,)."""
+        return self.constraints.rate(self._mechanism.k, State(t, q, self._mechanism.zero))
+
+    def factorise(self, M: Array, J: Array) -> RowFactor:
+        """Factor of the rows; brings `condition` up to date.
+
+        Args:
+            M: Mass matrix, shape (nv, nv).
+            J: Jacobian of the rows, shape (m, nv).
+        """
+        factor = RowFactor(M, J, self._usual)
+        self.condition = factor.condition
+        return factor
+
+    def factor_at(self, t: float, q: Array) -> RowFactor:
+        """Factor at a configuration of all joints; brings `condition` up to date."""
+        J = self.jacobian(t, q)
+        return self.factorise(self._mechanism.mass(q), J)
+
+    def _at(self, q: Array) -> tuple[Array, Array]:
+        return self._mechanism.mass(q), self.jacobian(0.0, q)
+
+
+# ---- impulse response -------------------------------------------------------------------------
+# How impulses of some rows move joints that bilateral rows hold.
+
+
+_PROJECTIONS = 2  # the second one takes what rounding leaves where rows hold most of a motion
+
+
+class ImpulseResponse:
+    """Changes of the velocity M^-1 J' p, without what bilateral rows J_b v = goal forbid.
+
+    Args:
+        M: Mass matrix, or what stands for it, symmetric, shape (nv, nv).
+        J: Rows with impulses, shape (m, nv); None where they follow by `of`.
+        hold: Bilateral rows, shape (m_b, nv).
+        factor: Their factor in the metric of M; None without any.
+
+    Attributes:
+        X: Changes of the velocity by each impulse, shape (nv, m).
+        A: Changes of the rates of the rows, shape (m, m).
+        loose: Diagonal of A without the bilateral rows, shape (m,).
+    """
+
+    def __init__(self, M: Array, J: Array | None, hold: Array, factor: RowFactor | None) -> None:
+        self._mass, self._hold, self._factor = eigenpy.LLT(M), hold, factor
+        if J is not None:
+            self._respond(J)
+
+    def of(self, J: Array) -> "ImpulseResponse":
+        """That of other rows, shape (m, nv), under the same mass and bilateral rows."""
+        other = copy(self)
+        other._respond(J)
+        return other
+
+    @property
+    def is_free(self) -> bool:
+        """Whether no bilateral row holds."""
+        return self._factor is None
+
+    def _respond(self, J: Array) -> None:
+        self.X, hold, factor = self.free(J.T), self._hold, self._factor
+        self.loose = np.einsum("ij,ji->i", J, self.X)
+        self._held = np.zeros((len(hold), len(J)))
+        for _ in range(_PROJECTIONS if factor is not None else 0):
+            assert factor is not None
+            held = factor.solve(hold.dot(self.X))
+            self._held, self.X = self._held + held, self.X - factor.X.dot(held)
+        self.A = J.dot(self.X)
+
+    @property
+    def G(self) -> Array:
+        """The X in the metric of M, A = G' G, shape (nv, m)."""
+        upper: Array = self._mass.matrixU()
+        return upper.dot(self.X)
+
+    def free(self, impulse: Array) -> Array:
+        """Changes of the velocity by impulses on joints that nothing holds, shape as given."""
+        v: Array = self._mass.solve(impulse).reshape(impulse.shape)  # eigenpy flattens one column
+        return v
+
+    def kept(self, v: Array, goal: Array) -> tuple[Array, Array]:
+        """The nearest velocity with J_b v = goal, and the bilateral impulses for it."""
+        if self._factor is None:
+            return v, goal
+        p = self._factor.solve(goal - self._hold.dot(v))
+        return v + self._factor.X.dot(p), p
+
+    def bilateral(self, p: Array) -> Array:
+        """Bilateral impulses that answer those of the rows, shape (m_b,)."""
+        return -self._held.dot(p)

@@ -4,13 +4,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import FrictionCone, Kind, Now, Output, Value
-from mbd_ros.core.contracts.parts import Part, Wrench
+from mbd_ros.core.contracts import FrictionCone, Kind, Now, Output, Part, Value, Wrench, label
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.names import label
-from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.rows.constraint_rows import RowLayout
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

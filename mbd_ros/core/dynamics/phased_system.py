@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from mbd_ros.core.dynamics.mass import Mass
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.rows.row_factor import RowFactor
-from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.rows.constraint_rows import RowLayout
+from mbd_ros.core.rows.delassus import RowFactor
 from mbd_ros.core.state import Array, Evaluation, Mode, State
 
 Slots = NDArray[np.intp]
@@ -24,7 +24,7 @@ class PhasedSystem:
     phase, and what takes no state answers for that one.
 
     Args:
-        phases: What else is known of each, `core.events.phase.Phase`.
+        phases: What else is known of each, `methods.events.phases.Phase`.
         systems: One a phase.
         layout: All rows of the scene.
         slots: Where the multipliers of each system stand among those of the scene.

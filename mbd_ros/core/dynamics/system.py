@@ -8,20 +8,23 @@ import numpy as np
 from mbd_ros.core.complementarity.bounded_rows import BoundedRows
 from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.dynamics.mass import Mass
-from mbd_ros.core.dynamics.rigid_rows import RigidRows
+from mbd_ros.core.dynamics.mechanism import Mechanism, RigidRows
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.rows.characteristic_sizes import UsualSizes
 from mbd_ros.core.rows.constraint import Row
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.rows.row_factor import RowFactor
-from mbd_ros.core.rows.row_layout import RowLayout
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
+from mbd_ros.core.rows.delassus import RowFactor, UsualSizes
 from mbd_ros.core.state import Array, Evaluation, Mode, State
 
 if TYPE_CHECKING:
     from mbd_ros.core.contact_modes.event_rows import ExactRows
+
+
+# ---- system -----------------------------------------------------------------------------------
+# What integrators, controllers and jobs ask of the equations of motion of a scene.
+
 
 # t, q, v, u and what is written; with internal states t, q, v, z, u and what is written, a and z'
 Accelerator = Callable[..., None]
@@ -201,3 +204,123 @@ def evaluation_at(system: System, y: State) -> Callable[[], None]:
     if not system.internals.nz:
         return lambda: accelerate(t, q, v, None, out[0])
     return lambda: accelerate(t, q, v, z, None, *out)
+
+
+# ---- free motion ------------------------------------------------------------------------------
+# What a system is composed of: coordinates, and accelerations while no row gives way.
+
+
+Acceleration = Callable[[float, Array, Array, Array | None], Array]
+
+
+class Coordinates(Protocol):
+    """What is integrated, called y, and all joints.
+
+    Attributes:
+        chart: Of y.
+    """
+
+    chart: Chart
+
+    def expand(self, y: State) -> State:
+        """State of all joints."""
+
+    def reduce(self, x: State) -> State:
+        """State of y."""
+
+    def lift(self, y: State, a: Array) -> Array:
+        """Accelerations of all joints from y'', fresh, shape (nv of the robot,)."""
+
+    def integrated(self, a: Array) -> Array:
+        """Those of y among values of all joints."""
+
+    def mass(self, q: Array) -> Array:
+        """Mass matrix of y, shape (nv, nv), overwritten by the next call."""
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Generalized force tau - h on y, shape (nv,)."""
+
+
+class FreeMotion(Protocol):
+    """Accelerations y'', rigid rows and couplings kept, rows that give way left out.
+
+    Attributes:
+        tier: Name of the way of solving.
+        mechanism: What moves.
+        coordinates: What is integrated.
+    """
+
+    tier: str
+    mechanism: Mechanism
+
+    @property
+    def coordinates(self) -> Coordinates:
+        """See the attributes of the class."""
+
+    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
+        """The y'' at a state of y, shape (nv,); the next call may overwrite it."""
+
+    def accelerator(self) -> Accelerator:
+        """The function that writes what `accelerate` returns."""
+
+    def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """q, v and a of all joints from y and y'' at the state of the last `accelerate`."""
+
+    def respond(self, q: Array, forces: Array) -> Array:
+        """Accelerations of all joints that forces on them add at the last `accelerate`.
+
+        Args:
+            q: Configuration of y there.
+            forces: One generalized force a column, shape (nv of the robot, k).
+
+        Returns:
+            Shape (nv of the robot, k).
+        """
+
+    def solution(
+        self, y: State, u: Array | None, a: Array, force: Array | None
+    ) -> tuple[Array, Array]:
+        """Accelerations of all joints, and multipliers of couplings and rigid rows, fresh.
+
+        Args:
+            y: State of the last `accelerate`.
+            u: As there.
+            a: y'' with all rows.
+            force: What rows that give way exert, shape (nv of the robot,); None without any.
+        """
+
+
+def writing(accelerate: Acceleration) -> Accelerator:
+    """A function of t, q, v, u that writes its result into a fifth argument, shape (nv,)."""
+
+    def write(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+        out[...] = accelerate(t, q, v, u)
+
+    return write
+
+
+# ---- phase queries ----------------------------------------------------------------------------
+# What is asked of systems that may have phases; nothing is paid for where they have none.
+
+
+def phased(system: System) -> Any:
+    """The system as a `PhasedSystem`; None where it has no phases."""
+    return system if getattr(system, "phases", ()) else None
+
+
+def during(system: System, x: State) -> System:
+    """The system of the phase of a state; the system itself where it has no phases."""
+    several = phased(system)
+    return system if several is None else several.during(x)
+
+
+def inward(system: System, x: State) -> State:
+    """The state with the mode that the system of its phase has for it."""
+    several = phased(system)
+    return x if several is None else several.inward(x)
+
+
+def phase_names(system: System) -> tuple[str, ...]:
+    """Names of the phases in the order of the scene; empty where it has none."""
+    several = phased(system)
+    return () if several is None else tuple(phase.name for phase in several.phases)

@@ -4,26 +4,20 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from mbd_ros.core.complementarity.bounded_rows import BoundedRows
-from mbd_ros.core.dynamics.aba import Aba
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
-from mbd_ros.core.dynamics.dense import Dense
-from mbd_ros.core.dynamics.free_motion import FreeMotion
 from mbd_ros.core.dynamics.kkt import Kkt
-from mbd_ros.core.dynamics.mechanism import Mechanism
-from mbd_ros.core.dynamics.mimic_joints import Mimic, mimic_model
-from mbd_ros.core.dynamics.reduced import Reduced
-from mbd_ros.core.dynamics.rigid_rows import RigidRows
-from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.mechanism import Mechanism, RigidRows
+from mbd_ros.core.dynamics.open_chain import Aba, Dense
+from mbd_ros.core.dynamics.reduced import Mimic, Reduced, mimic_model
+from mbd_ros.core.dynamics.system import FreeMotion, System
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.multiplier_laws import Kind, Level
-from mbd_ros.core.rows.characteristic_sizes import UsualSizes
-from mbd_ros.core.rows.constraint import Constraint
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.constraint import Constraint, Kind, Level
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock, RowLayout
 from mbd_ros.core.rows.coupling_rows import CouplingRows
-from mbd_ros.core.rows.row_layout import RowBlock, RowLayout
+from mbd_ros.core.rows.delassus import UsualSizes
 from mbd_ros.errors import ModelError
 
 if TYPE_CHECKING:

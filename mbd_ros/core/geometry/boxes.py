@@ -9,10 +9,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.geometry.feature_gaps import Meeting, Touch
-from mbd_ros.core.geometry.frames import crossed, dotted, framed, lengths, nearest_bases
+from mbd_ros.core.geometry.feature_gaps import (
+    Meeting,
+    Touch,
+    crossed,
+    dotted,
+    framed,
+    lengths,
+    nearest_bases,
+)
 from mbd_ros.core.geometry.shapes import CORNERS
-from mbd_ros.core.geometry.solids import BESIDE
+from mbd_ros.core.geometry.simple_bodies import BESIDE
 from mbd_ros.core.kinematics.relative_motion import PairMotion
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array

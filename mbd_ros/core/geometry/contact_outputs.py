@@ -13,10 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.contracts.outputs import Kind, Output, Value, exerted_on
-from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.contracts import Kind, Output, Value, Wrench, exerted_on
 from mbd_ros.core.geometry.contact_pair import ContactPair
-from mbd_ros.core.geometry.frames import crossed
+from mbd_ros.core.geometry.feature_gaps import crossed
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.contracts.parts import Internal, Part
+from mbd_ros.core.contracts import Internal, Part
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError

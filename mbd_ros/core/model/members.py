@@ -7,12 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.far_base import FAR, root_link
-from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic
-from mbd_ros.core.model.model_source import Recipe
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.robot import WORLD, Robot
-from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, read_recipe
+from mbd_ros.core.model.robot import BASE, WORLD, Base, Joint, Mimic, Recipe, Robot
+from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, FAR, read_recipe, root_link
 from mbd_ros.core.model.urdf import MAX_JOINTS, parse_urdf
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
@@ -81,7 +78,7 @@ def merged(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAVITY) 
 
 def inertias_of_links(recipes: Iterable[Recipe]) -> dict[str, Any]:
     """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""
-    from mbd_ros.core.model.other_inertias import inertias_of
+    from mbd_ros.core.model.robot_reader import inertias_of
 
     found = {}
     for recipe in recipes:

@@ -1,19 +1,170 @@
-"""What moves in a scene, checked and frozen: robots and bodies in one Pinocchio model."""
+"""What moves in a scene, checked and frozen: joints, robots and bodies in one Pinocchio model."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from textwrap import shorten
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic, Rubbing
-from mbd_ros.core.model.model_source import Recipe
 from mbd_ros.core.model.points import Pair, Place, Places, Point, rotation_matrix
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
+
+# ---- joints -----------------------------------------------------------------------------------
+# What moves in a robot: joints with one coordinate, and free bases.
+
+
+class Base(NamedTuple):
+    """A link that moves freely, and carries the links that hang on it.
+
+    Attributes:
+        name: `base` for the base of the only robot, else the name of its robot or body.
+        q: Its coordinates in a configuration: position less `Robot.origin` [m], then the
+            quaternion (x, y, z, w).
+        v: Its coordinates in a velocity: linear [m/s], then angular [rad/s], in its own axes.
+        joint: Index of its joint in the model.
+        frame: Name of the link.
+        start: Where it starts unless a scene says otherwise, as in a configuration, shape (7,).
+    """
+
+    name: str
+    q: slice
+    v: slice
+    joint: int
+    frame: str
+    start: Array
+
+    @property
+    def title(self) -> str:
+        """For messages."""
+        return "the floating base" if self.name == BASE else f"free body '{self.name}'"
+
+
+def child_link(model: Any, v: int) -> str:
+    """Name of the link that a joint carries, whose axes are those of the joint.
+
+    Args:
+        model: Pinocchio model.
+        v: Index of the coordinate of the joint in a velocity.
+    """
+    joint = next(i for i, one in enumerate(model.joints) if i and one.idx_v == v)
+    links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
+    return str(next(link.name for link in links if link.placement.isIdentity()))
+
+
+BASE = "base"  # name of the base of the only robot
+
+
+@dataclass(frozen=True)
+class Joint:
+    """One joint with one coordinate.
+
+    Attributes:
+        name: Name on topics, bags and CSV columns.
+        urdf_name: Name in the robot description.
+        kind: revolute, continuous or prismatic.
+        q: Index of its coordinate in a configuration.
+        v: Index of its coordinate in a velocity.
+        lower: Lower position limit [rad or m], -inf without one.
+        upper: Upper position limit [rad or m], inf without one.
+        max_velocity: [rad/s or m/s], inf where the description says 0 or nothing.
+        max_effort: [N·m or N], inf where the description says nothing (continuous joints may).
+        member: Name of its robot or body in the scene, empty for the only robot.
+    """
+
+    name: str
+    urdf_name: str
+    kind: str
+    q: int
+    v: int
+    lower: float
+    upper: float
+    max_velocity: float
+    max_effort: float
+    member: str = ""
+
+    @property
+    def effort_name(self) -> str:
+        """What its effort is, torque or force."""
+        return "force" if self.kind == "prismatic" else "torque"
+
+    @property
+    def effort_unit(self) -> str:
+        """Unit of its effort."""
+        return "N" if self.kind == "prismatic" else "N·m"
+
+    @property
+    def position_unit(self) -> str:
+        """Unit of its position."""
+        return "m" if self.kind == "prismatic" else "rad"
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A `<mimic>` of the description: joint = factor * parent + offset [rad or m]."""
+
+    joint: str
+    parent: str
+    factor: float
+    offset: float
+
+
+class Rubbing(NamedTuple):
+    """A `<dynamics>` of the description.
+
+    Attributes:
+        friction: Dry friction [N·m or N].
+        damping: Viscous [N·m·s/rad or N·s/m].
+    """
+
+    friction: float
+    damping: float
+
+
+# ---- model source -----------------------------------------------------------------------------
+# What a robot or a body is read from, and what its links and joints are called.
+
+
+class Recipe(NamedTuple):
+    """One robot or body of a scene, before it is read.
+
+    Attributes:
+        text: URDF.
+        source: File or topic of the text, for the messages.
+        base: `fixed`, or `floating` for a root link that moves freely.
+        locked: Joint -> position [rad or m] of joints to freeze and remove.
+        rename: URDF joint name -> the name that it goes by.
+        inertias: Of links, in place of those of the text, see `Robot.with_inertias`.
+        name: In the scene; empty for the only robot, whose links and joints keep their names.
+        pose: `pinocchio.SE3` of the root link in the world, at the start if that moves freely;
+            None where the description says.
+        shape: Kind and sizes, as a scene writes them, of a body that has only one link; None
+            where the description says.
+        any_inertias: Whether moments of inertia that no body has are taken as they are.
+    """
+
+    text: str
+    source: str
+    base: str = "fixed"
+    locked: Mapping[str, float] | None = None
+    rename: Mapping[str, str] | None = None
+    inertias: Mapping[str, Any] | None = None
+    name: str = ""
+    pose: Any = None
+    shape: tuple[str, Any] | None = None
+    any_inertias: bool = False
+
+    def scoped(self, name: str) -> str:
+        """What a joint, or a link that is not the root, is called in the scene."""
+        return f"{self.name}/{name}" if self.name else name
+
+
+# ---- robot ------------------------------------------------------------------------------------
+# What moves in a scene, checked and frozen: robots and bodies in one Pinocchio model.
+
 
 WORLD = "world"  # a frame at rest, beside `universe`, unless a link is called so
 

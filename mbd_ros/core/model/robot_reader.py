@@ -6,22 +6,91 @@ read as a revolute joint without limits, so that its position is an unwrapped an
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.far_base import centred, root_link
-from mbd_ros.core.model.joints import BASE, Base, Joint, Mimic, Rubbing
-from mbd_ros.core.model.model_source import Recipe
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.model.urdf import parse_urdf
-from mbd_ros.core.model.urdf_inertias import check_inertias
-from mbd_ros.core.model.urdf_reading import has_effort_limit, joint_kinds, numbers
+from mbd_ros.core.model.robot import BASE, Base, Joint, Mimic, Recipe, Robot, Rubbing
+from mbd_ros.core.model.urdf import (
+    check_inertias,
+    has_effort_limit,
+    joint_kinds,
+    link_name,
+    numbers,
+    parse_urdf,
+)
+from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
+
+# ---- far base ---------------------------------------------------------------------------------
+# A fixed base far from the world's origin, read as if it stood at the origin.
+#
+# Placements, Jacobians and distances in world axes lose a digit with every power of ten between
+# the
+# robot and the origin. A constant offset changes no acceleration.
+
+
+FAR = 2.0  # m; nearer robots keep the world's origin, and lose no digit that counts
+
+
+def centred(
+    build: Callable[[ElementTree.Element], Any], tree: ElementTree.Element
+) -> tuple[Any, Array]:
+    """A model with a fixed base, and the origin that its positions are counted from.
+
+    Args:
+        build: Makes a model of a checked description.
+        tree: The description.
+
+    Returns:
+        The model, and the place of its first joint in the world [m], or 0 if that is near,
+        shape (3,). Frames of the world and of the root link stand in it at minus that place.
+    """
+    model, near = build(tree), np.zeros(3)
+    if model.njoints == 1:
+        return model, near
+    origin: Array = model.jointPlacements[1].translation.copy()
+    if np.linalg.norm(origin) <= FAR:
+        return model, near
+    root = root_link(tree)
+    model = build(_moved(tree, root, origin))
+    for index in {0, int(model.getFrameId(root, pin.FrameType.BODY))}:
+        frame = model.frames[index]
+        frame.placement = pin.SE3(frame.placement.rotation, frame.placement.translation - origin)
+    return model, origin
+
+
+def _moved(tree: ElementTree.Element, root: str, origin: Array) -> ElementTree.Element:
+    """The description with everything on its root link moved by -origin.
+
+    The text is changed, before anything is added to the large numbers.
+    """
+    tree = copy.deepcopy(tree)
+    for joint in tree.findall("joint"):
+        if link_name(joint, "parent") != root:
+            continue
+        place = joint.find("origin")
+        if place is None:
+            place = ElementTree.SubElement(joint, "origin")
+        at = np.array(numbers(place, "xyz", "0 0 0")) - origin
+        place.set("xyz", " ".join(repr(float(value)) for value in at))
+    return tree
+
+
+def root_link(tree: ElementTree.Element) -> str:
+    """Name of the link that no joint carries."""
+    carried = {link_name(joint, "child") for joint in tree.findall("joint")}
+    names = (link.get("name", "") for link in tree.findall("link"))
+    return next(name for name in names if name not in carried)
+
+
+# ---- robot reader -----------------------------------------------------------------------------
+# URDF text -> a frozen robot on a Pinocchio model.
+
 
 EARTH_GRAVITY = (0.0, 0.0, -9.81)
 BASES = ("fixed", "floating")
@@ -248,3 +317,77 @@ def _rubbing(tree: ElementTree.Element, names: Mapping[str, str]) -> dict[str, R
         if any(rub):
             found[names[joint.get("name", "")]] = rub
     return found
+
+
+# ---- other inertias ---------------------------------------------------------------------------
+# Inertias of links in place of those of a description, and what a description says of them.
+
+
+_AXES = "xyz"
+_PAIRS = [(i, j) for i in range(3) for j in range(i, 3)]
+_ASYMMETRIC = 1.0e-9  # of the largest entry
+_EXPECTED = (
+    "expected a pinocchio.Inertia, or mass [kg], mass centre [m] of 3 numbers and inertia about "
+    "it [kg·m^2] of 3 x 3"
+)
+
+
+def place_inertias(robot: ElementTree.Element, inertias: Mapping[str, Any], source: str) -> None:
+    """Put inertias into a description; its checks come afterwards.
+
+    Args:
+        robot: The `<robot>` element, changed in place.
+        inertias: Link -> `pinocchio.Inertia` or (mass [kg], mass centre [m], shape (3,), inertia
+            about the mass centre [kg·m^2], shape (3, 3)), both in the axes of the link.
+        source: File or topic of the description, for the messages.
+
+    Raises:
+        ModelError: There is no such link, or the numbers have another shape.
+    """
+    links = {link.get("name", ""): link for link in robot.findall("link")}
+    for name, inertia in inertias.items():
+        if name not in links:
+            raise ModelError(f"{source}: no link '{name}'; the links are {', '.join(links)}")
+        mass, centre, tensor = _numbers(inertia, f"{source}: link '{name}'")
+        link = links[name]
+        for old in link.findall("inertial"):
+            link.remove(old)
+        inertial = ElementTree.SubElement(link, "inertial")
+        words = " ".join(repr(float(value)) for value in centre)
+        ElementTree.SubElement(inertial, "origin", {"xyz": words})
+        ElementTree.SubElement(inertial, "mass", {"value": repr(mass)})
+        moments = {f"i{_AXES[i]}{_AXES[j]}": repr(float(tensor[i, j])) for i, j in _PAIRS}
+        ElementTree.SubElement(inertial, "inertia", moments)
+
+
+def inertias_of(robot: ElementTree.Element) -> dict[str, Any]:
+    """Link -> `pinocchio.Inertia` of a checked description, 0 where it says nothing."""
+    found = {}
+    for link in robot.findall("link"):
+        inertial = link.find("inertial")
+        if inertial is None:
+            found[link.get("name", "")] = pin.Inertia.Zero()
+            continue
+        place, given = inertial.find("origin"), inertial.find("inertia")
+        turned = pin.rpy.rpyToMatrix(np.array(numbers(place, "rpy", "0 0 0")))
+        tensor = np.zeros((3, 3))
+        for i, j in _PAIRS:
+            tensor[i, j] = tensor[j, i] = numbers(given, f"i{_AXES[i]}{_AXES[j]}", "0")[0]
+        mass = numbers(inertial.find("mass"), "value", "0")[0]
+        centre = np.array(numbers(place, "xyz", "0 0 0"))
+        found[link.get("name", "")] = pin.Inertia(mass, centre, turned @ tensor @ turned.T)
+    return found
+
+
+def _numbers(inertia: Any, where: str) -> tuple[float, Array, Array]:
+    if isinstance(inertia, pin.Inertia):
+        inertia = (inertia.mass, inertia.lever, inertia.inertia)
+    try:
+        mass, centre, tensor = (np.array(value, dtype=np.float64) for value in inertia)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{where}: {_EXPECTED}") from error
+    if (mass.shape, centre.shape, tensor.shape) != ((), (3,), (3, 3)):
+        raise ModelError(f"{where}: {_EXPECTED}")
+    if np.abs(tensor - tensor.T).max() > _ASYMMETRIC * np.abs(tensor).max():
+        raise ModelError(f"{where}: inertia is not symmetric")
+    return float(mass), centre, tensor

@@ -1,4 +1,4 @@
-"""Fibres and tendon in series: forces of a muscle whose activation is known.
+"""Fibres and tendon in series: forces, pennation, equilibrium.
 
 A tendon pulls along the path, fibres at the angle of their `Pennation` to it. Forces are peak
 forces times curves of lengths per optimal fibre length and per slack length, and of the speed per
@@ -8,11 +8,78 @@ Source: F. E. Zajac, Crit. Rev. Biomed. Eng. 17, 1989, 359-411; M. Millard et al
 135, 2013, 021005, doi:10.1115/1.4023390, eq. 1 to 8.
 """
 
+import math
 from typing import Any, NamedTuple
 
-from mbd_ros.core.muscles.pennation import Pennation
-from mbd_ros.core.ranges import is_value
+import numpy as np
+
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.muscles.curves import ArrayNumbers
+from mbd_ros.core.ranges import Within, is_value
+from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
+
+# ---- pennation --------------------------------------------------------------------------------
+# Fibres at an angle to the tendon, in a muscle of constant thickness.
+#
+# With the thickness h = l_opt sin(a_opt) the angle a of fibres of length l follows from
+# sin(a) = h / l, and their length along the tendon is l cos(a) = sqrt(l^2 - h^2).
+#
+# Source: F. E. Zajac, Crit. Rev. Biomed. Eng. 17, 1989, 359-411; M. Millard et al., J. Biomech.
+# Eng.
+# 135, 2013, 021005, doi:10.1115/1.4023390.
+
+
+Angle = Within(0.0, 1.57)
+PennateNumber = Any  # float, symbol or array
+_FLAT = 0.01  # of the optimal length: the shortest fibre where nothing limits the angle
+
+
+class Pennation(NamedTuple):
+    """Geometry of the fibres of a muscle.
+
+    Attributes:
+        height: The h [m].
+        shortest: Least length of the fibres [m].
+        reach: Length of the shortest fibres along the tendon [m].
+    """
+
+    height: PennateNumber
+    shortest: PennateNumber
+    reach: PennateNumber
+
+    def along(self, k: Any, length: PennateNumber) -> PennateNumber:
+        """Fibre length [m] along the tendon [m]."""
+        if is_value(self.height, 0.0):
+            return length  # the root has no derivative at length 0
+        return k.sqrt(k.maximum(length * length - self.height * self.height, 0.0))
+
+    def fiber(self, k: Any, along: PennateNumber) -> PennateNumber:
+        """Length of fibres [m] whose length along the tendon [m] is given, at least the least."""
+        kept = k.maximum(along, self.reach)
+        if is_value(self.height, 0.0):
+            return kept
+        return k.sqrt(kept * kept + self.height * self.height)
+
+
+def pennation(optimal_length: PennateNumber, angle: float, largest: float) -> Pennation:
+    """Fibres by what is published of them.
+
+    Args:
+        optimal_length: The l_opt [m].
+        angle: The a_opt [rad].
+        largest: Angle beyond which fibres do not shorten [rad]; 0 for none.
+    """
+    if largest == 0.0:
+        shortest = _FLAT * optimal_length
+        return Pennation(0.0, shortest, shortest)
+    height = optimal_length * math.sin(angle)
+    return Pennation(height, height / math.sin(largest), height / math.tan(largest))
+
+
+# ---- contraction ------------------------------------------------------------------------------
+# Fibres and tendon in series: forces of a muscle whose activation is known.
+
 
 Number = Any  # float, symbol or array
 _POINT = 1.0e-9  # of the optimal length: where fibres without an angle have no length
@@ -169,3 +236,55 @@ def check_sizes(
             f"pennation_angle {pennation_angle:g} must be below maximum_pennation_angle "
             f"{maximum_pennation_angle:g}"
         )
+
+
+# ---- equilibrium ------------------------------------------------------------------------------
+# Fibre lengths at which a muscle with an elastic tendon is at rest.
+
+
+_LOOKED_AT, _HALVINGS = 400, 60  # lengths that are looked at, and halvings between two of them
+
+
+def stable_lengths(contraction: Contraction, a: float, length: float) -> list[float]:
+    """Fibre lengths at rest to which fibres return by themselves, the shortest one first [m].
+
+    The rate of the fibre length has the sign of g = ft cos(a)^-1 - A fal - fpe, the surplus of the
+    tendon over fibres that neither shorten nor lengthen: a length is stable where g falls through
+    0. On the descending limb of the active force-length curve a compliant tendon lets fibres have
+    two such lengths, with one between them that is not stable. Where the tendon is slack at any
+    length, fibres shorten to the least one.
+
+    Args:
+        contraction: Of the muscle.
+        a: Activation.
+        length: Of the path [m].
+    """
+    shortest = contraction.pennation.shortest
+    longest = contraction.pennation.fiber(Kinematics, length - contraction.slack)
+    if longest <= shortest:
+        return [shortest]
+    lengths = np.linspace(shortest, longest, _LOOKED_AT)
+    pulled = _surplus(ArrayNumbers, contraction, a, length, lengths) > 0.0
+    falls = np.flatnonzero(pulled[:-1] & ~pulled[1:])
+    found = [_between(contraction, a, length, lengths[i : i + 2]) for i in falls]
+    return found if pulled[0] else [shortest, *found]
+
+
+def _between(contraction: Contraction, a: float, length: float, ends: Array) -> float:
+    """The zero of the surplus between two lengths, by halving."""
+    low, high = ends.tolist()
+    for _ in range(_HALVINGS):
+        middle = 0.5 * (low + high)
+        if _surplus(Kinematics, contraction, a, length, middle) > 0.0:
+            low = middle
+        else:
+            high = middle
+    return 0.5 * (low + high)
+
+
+def _surplus(k: Any, contraction: Contraction, a: float, length: float, fiber_length: Any) -> Any:
+    """Force of the tendon along the fibres less that of fibres at rest, per peak force."""
+    relative, curves = fiber_length / contraction.optimal, contraction.curves
+    stretch = contraction.stretch(k, length, fiber_length)
+    pull = curves.tendon(k, stretch) / contraction.cosine(k, fiber_length)
+    return pull - curves.fiber(k, a, relative, 0.0 * relative) - curves.passive(k, relative)

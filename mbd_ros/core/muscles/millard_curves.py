@@ -9,7 +9,7 @@ doi:10.1115/1.4023390, sec. 2 and appendix.
 
 from typing import Any
 
-from mbd_ros.core.muscles.bezier import BezierCurve, Knot
+from mbd_ros.core.muscles.curves import BezierCurve, Knot
 
 Number = Any  # float, symbol or array
 _SHOULDER = 0.05  # half of the plateau of the active curve

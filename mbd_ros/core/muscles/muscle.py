@@ -2,19 +2,21 @@
 
 import math
 from collections.abc import Sequence
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now, Output, Value
-from mbd_ros.core.contracts.parts import Actuator, Channel, Internal
+from mbd_ros.core.contracts import Actuator, Channel, Internal, Now, Output, Value
 from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.loads.path_load import PathLoad
-from mbd_ros.core.muscles.array_numbers import ArrayNumbers
 from mbd_ros.core.muscles.contraction import Contraction, Fiber
+from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.core.muscles.metabolic_rate import USUAL_METABOLISM, Metabolism, metabolic_rate
-from mbd_ros.core.paths.paths import Path
 from mbd_ros.core.state import Array, State
+
+# ---- muscle -----------------------------------------------------------------------------------
+# Muscles of all types: a load along a path, with activation and fibre length as states.
 
 
 class ActivationDynamics(Protocol):
@@ -119,7 +121,7 @@ class Muscle(PathLoad, Actuator):
             activation: From its least value to 1.
             length: Of the path [m].
         """
-        from mbd_ros.core.muscles.equilibrium import stable_lengths  # asked for at starts only
+        from mbd_ros.core.muscles.contraction import stable_lengths  # asked for at starts only
 
         return stable_lengths(self.contraction, activation, length)
 
@@ -234,3 +236,66 @@ _OUTPUTS = (
     Output("fiber_power", "W"),
     Output("damping_loss", "W"),
 )
+
+
+# ---- activation -------------------------------------------------------------------------------
+# Activation dynamics: how activation a follows excitation e.
+
+
+Number = Any  # float, symbol or array
+_LEAST, _MORE = 0.5, 1.5  # of the factor of both time constants
+
+
+class FirstOrder(NamedTuple):
+    """a' = (e - a) / tau, tau by whether activation rises.
+
+    With z = 0.5 + 1.5 a, tau = rising z where e > a, and falling / z where not. The rate is
+    continuous and has a kink at e = a.
+
+    Source: D. G. Thelen, J. Biomech. Eng. 125, 2003, 70-77, doi:10.1115/1.1531112, eq. 1 and 2.
+
+    Attributes:
+        rising: Time constant [s].
+        falling: Time constant [s].
+        least: The a_min.
+    """
+
+    rising: Number
+    falling: Number
+    least: Number
+
+    def rate(self, k: Any, e: Number, a: Number) -> Number:
+        """A' [1/s]."""
+        factor = _LEAST + _MORE * a
+        lack = k.minimum(k.maximum(e, self.least), 1.0) - a
+        up, down = k.maximum(lack, 0.0), k.minimum(lack, 0.0)
+        return up / (self.rising * factor) + down * factor / self.falling
+
+
+class SmoothFirstOrder(NamedTuple):
+    """a' = ((f + 1/2) / (rising z) + (1/2 - f) z / falling) (e - a), smooth everywhere.
+
+    Here z = 0.5 + 1.5 a and f = tanh(b (e - a)) / 2.
+
+    Source: F. De Groote et al., Ann. Biomed. Eng. 44, 2016, 2922-2936,
+    doi:10.1007/s10439-016-1591-9, eq. 1 and 2.
+
+    Attributes:
+        rising: Time constant [s].
+        falling: Time constant [s].
+        least: Least activation.
+        steepness: The b.
+    """
+
+    rising: Number
+    falling: Number
+    least: Number
+    steepness: Number
+
+    def rate(self, k: Any, e: Number, a: Number) -> Number:
+        """A' [1/s]."""
+        factor = _LEAST + _MORE * a
+        lack = k.minimum(k.maximum(e, self.least), 1.0) - a
+        side = 0.5 * k.tanh(self.steepness * lack)
+        pace = (side + 0.5) / (self.rising * factor) + (0.5 - side) * factor / self.falling
+        return pace * lack

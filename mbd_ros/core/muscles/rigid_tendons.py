@@ -11,9 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.polynomial import chebyshev
 
-from mbd_ros.core.muscles.array_numbers import ArrayNumbers
-from mbd_ros.core.muscles.contraction import Contraction
-from mbd_ros.core.muscles.pennation import Pennation
+from mbd_ros.core.muscles.contraction import Contraction, Pennation
+from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.core.state import Array
 
 _CELLS, _DEGREE = 512, 5  # of a table between two knots

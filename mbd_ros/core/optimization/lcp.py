@@ -10,8 +10,7 @@ Source: R. Cottle, J.-S. Pang, R. Stone, The Linear Complementarity Problem, 199
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.optimization.active_set import least_norm, on_active_set
-from mbd_ros.core.optimization.box_qp import BoxQp, Statistics
+from mbd_ros.core.optimization.box_qp import BoxQp, Statistics, least_norm, on_active_set
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CLOSED_GAP
 from mbd_ros.errors import SolveError

@@ -1,20 +1,144 @@
-"""The quadratic program of a move of all joints onto linear rows, within bounds.
+"""A move of all joints onto linear rows, within bounds.
 
     min 1/2 p' W p + f' p   subject to   J p = c,   low <= p <= high
     W p + f = J' lam + mu,   mu >= 0 at `low`, mu <= 0 at `high`, 0 elsewhere
 
-`core/projection` asks it of each step to the nearest consistent state. W may leave joints free
+`methods/projection` asks it of each step to the nearest consistent state. W may leave joints free
 that the rows place. Source: J. Nocedal, S. Wright, Numerical Optimization, 2006, sec. 16.2.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import eigenpy
 import numpy as np
 
-from mbd_ros.core.optimization.limit_forces import LimitForces
-from mbd_ros.core.rows.row_factor import RowFactor
+from mbd_ros.core.optimization.box_qp import Sides, Statistics, factored, passed
+from mbd_ros.core.optimization.lcp import ComplementarityProblem
+from mbd_ros.core.rows.delassus import RowFactor
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import CLOSED_GAP, HELD_BY_ROWS, REACHED
+
+# ---- limit forces -----------------------------------------------------------------------------
+# Forces of joint limits that keep a move of all joints within them.
+#
+#     w = p + C mu,   low <= w <= high,   mu >= 0 at `low`, mu <= 0 at `high`, 0 elsewhere
+#
+# p is the move without limits and C the compliance: the moves per force that constraints leave.
+# Where C is regular, w is the optimum of min 1/2 (w - p)' C^-1 (w - p) over low <= w <= high.
+
+
+_EXCHANGES = 6
+
+
+def stops(q: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Smallest and largest velocities, shapes (n,), that do not lead out of a reached limit.
+
+    Args:
+        q: Configuration, shape (n,).
+        lower: Smallest positions, shape (n,).
+        upper: Largest positions, shape (n,).
+    """
+    floor = np.where(q <= lower + REACHED, 0.0, -np.inf)
+    return floor, np.where(q >= upper - REACHED, 0.0, np.inf)
+
+
+class Compliance(Protocol):
+    """How joints answer forces."""
+
+    def moves(self, forces: Array) -> Array:
+        """C times forces, one a column, shape (n, k)."""
+
+    def mobility(self) -> Array:
+        """Moves per force of each joint if nothing constrained it, shape (n,)."""
+
+
+class LimitForces:
+    """Solves the problem above by exchanging limits, or else by a QP in mu.
+
+    Limits are exchanged all at once, beginning with those that acted last: limits that pull
+    leave, violated limits join.
+
+    Source: M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002).
+
+    Args:
+        n: Number of joints.
+        bounded: Whether bounds may ever be finite; without, no QP solver is imported.
+
+    Attributes:
+        solves: Number of solves with a limit that acted.
+    """
+
+    def __init__(self, n: int, bounded: bool) -> None:
+        self._pushers = ComplementarityProblem(2 * n) if bounded else None
+        self._identity = np.eye(n)
+        self._acting: Sides = np.zeros(n, dtype=np.int8)
+        self.solves = 0
+
+    @property
+    def statistics(self) -> Statistics:
+        """How the QPs went."""
+        return Statistics() if self._pushers is None else self._pushers.statistics
+
+    def solve(self, compliance: Compliance, p: Array, low: Array, high: Array) -> Array | None:
+        """The forces mu, shape (n,); None where p is within the bounds.
+
+        Args:
+            compliance: C.
+            p: Move without bounds, shape (n,).
+            low: Smallest move, shape (n,).
+            high: Largest move, shape (n,).
+
+        Raises:
+            SolveError: The bounds contradict the constraints, or something is not finite.
+        """
+        if self._pushers is None or not ((p < low) | (p > high)).any():
+            return None
+        self.solves += 1
+        mu = self._by_exchange(compliance, p, low, high)
+        if mu is None:
+            A, gap, scale = _pushes(compliance, p, low, high)
+            at_lower, at_upper = np.split(scale * self._pushers.solve(A, gap), 2)
+            mu = at_lower - at_upper
+        self._acting = np.sign(mu).astype(np.int8)
+        return mu
+
+    def _by_exchange(
+        self, compliance: Compliance, p: Array, low: Array, high: Array
+    ) -> Array | None:
+        """The mu if the exchange ends soon, with limits that do not depend on one another."""
+        acting = self._acting if self._acting.any() else passed(p, low, high)
+        for _ in range(_EXCHANGES):
+            bound = np.where(acting > 0, low, high)
+            rows = (np.isfinite(bound) & (acting != 0)).nonzero()[0]
+            if not len(rows):
+                return None
+            pushes, gap = self._identity[:, rows], bound[rows] - p[rows]
+            moves = compliance.moves(pushes)
+            force = factored(moves[rows], gap)
+            moved, slack = p + moves.dot(force), CLOSED_GAP * float(np.abs(gap).max())
+            pulls = force * acting[rows] < 0.0
+            beyond = (moved < low - slack) | (moved > high + slack)
+            if not (pulls.any() or beyond.any()):
+                closed = np.abs(moved[rows] - bound[rows]) <= slack
+                return pushes.dot(force) if closed.all() else None
+            acting = np.where(beyond, passed(moved, low, high), acting)
+            acting[rows[pulls]] = 0
+        return None
+
+
+def _pushes(compliance: Compliance, p: Array, low: Array, high: Array) -> tuple[Array, ...]:
+    """A and gap of forces >= 0 at each lower and each upper bound, scaled, and their scales."""
+    n = len(p)
+    C, mobility = compliance.moves(np.eye(n)), np.tile(compliance.mobility(), 2)
+    sides, gap = np.repeat([1.0, -1.0], n), np.concatenate([p - low, high - p])
+    A = sides[:, None] * np.tile(0.5 * (C + C.T), (2, 2)) * sides
+    movable = np.isfinite(gap) & (A.diagonal() > HELD_BY_ROWS * mobility)
+    scale = np.where(movable, 1.0 / np.sqrt(np.where(movable, A.diagonal(), 1.0)), 0.0)
+    return scale[:, None] * A * scale, scale * np.where(movable, gap, 0.0), scale
+
+
+# ---- move qp ----------------------------------------------------------------------------------
+# The quadratic program of a move of all joints onto linear rows, within bounds.
 
 
 class Metric(NamedTuple):

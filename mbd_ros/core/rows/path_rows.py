@@ -4,10 +4,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now, Output, Value
-from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.contracts import Now, Output, Value, Wrench
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
-from mbd_ros.core.paths.paths import Path
+from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State
 

@@ -18,9 +18,9 @@ import casadi as ca
 import numpy as np
 
 from mbd_ros.compiled.symbols.trace import Traced
-from mbd_ros.core.particles.particle_system import ParticleSystem
-from mbd_ros.core.particles.row_geometry import DistanceRow, PointRow
 from mbd_ros.core.state import Array
+from mbd_ros.methods.particles.particle_system import ParticleSystem
+from mbd_ros.methods.particles.rigid_bonds import DistanceRow, PointRow
 
 _MINORS = 3  # rows up to which an inverse is written out
 

@@ -5,12 +5,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.projection.assembly import assemble
-from mbd_ros.core.rows.independent_rows import independent
+from mbd_ros.core.rows.constraint_rows import independent
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Say
+from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import is_of_particles
@@ -125,7 +125,7 @@ def _of_particles(scene: Any) -> PhaseSpace:
 def _of_mechanism(scene: Scene) -> PhaseSpace:
     from mbd_ros.compiled.symbols.untraceable import Untraceable
     from mbd_ros.features.dirac_brackets.dirac_bracket import of_mechanism
-    from mbd_ros.scene.runs.symbolic_parts import traced
+    from mbd_ros.scene.runs.compiling import traced
 
     _refuse(scene)
     system = scene.system()

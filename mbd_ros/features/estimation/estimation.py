@@ -8,16 +8,15 @@ from functools import cached_property
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.contracts.sensor import Sensor
+from mbd_ros.core.contracts import Sensor
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.estimation.estimator import Estimator
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import FIXED_BY_OTHERS
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.features.estimation.effort_disturbance import EffortDisturbance
 from mbd_ros.features.estimation.mechanism_process import MechanismProcess
 from mbd_ros.features.estimation.task import EstimateTask
-from mbd_ros.features.estimation.unknowns import Unknowns, with_unknowns
+from mbd_ros.features.estimation.unknowns import EffortDisturbance, Unknowns, with_unknowns
+from mbd_ros.methods.estimation.process import Estimator
 from mbd_ros.parts.actuators.ideal import Ideal
 from mbd_ros.parts.sensors.encoder import Encoder
 from mbd_ros.parts.sensors.tachometer import Tachometer

@@ -12,17 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.contracts.sensor import Sensor
+from mbd_ros.core.contracts import Sensor
 from mbd_ros.core.dynamics.system import Derivatives, System
-from mbd_ros.core.estimation.kalman_update import updated
-from mbd_ros.core.estimation.process import Bounded, Observation, Transition
-from mbd_ros.core.estimation.sensor_set import SensorSet
-from mbd_ros.core.estimation.state_tangent import StateTangent
-from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError
-from mbd_ros.features.estimation.unknown_inertias import UnknownInertias, UnknownMass
+from mbd_ros.features.estimation.unknowns import UnknownInertias, UnknownMass
+from mbd_ros.methods.estimation.kalman_update import updated
+from mbd_ros.methods.estimation.process import Bounded, Observation, SensorSet, Transition
+from mbd_ros.methods.estimation.state_tangent import StateTangent
+from mbd_ros.methods.simulation.simulation import Simulation
 
 # Limits of joints and bounds of internal states, as an estimator keeps them.
 

@@ -5,18 +5,18 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.inverse_dynamics.torque_estimator import Tuning
 from mbd_ros.core.model.couplings import Couplings
-from mbd_ros.core.projection.assembly import assemble
-from mbd_ros.core.projection.state_projection import (
+from mbd_ros.core.state import NANOSECOND, Array, State
+from mbd_ros.errors import SolveError
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Tuning
+from mbd_ros.methods.projection.assembly import assemble
+from mbd_ros.methods.projection.state_projection import (
     Measurement,
     Prepared,
     ProjectedState,
     StateProjector,
 )
-from mbd_ros.core.signals.differentiation import CausalDifferentiator, SampleStatus
-from mbd_ros.core.state import NANOSECOND, Array, State
-from mbd_ros.errors import SolveError
+from mbd_ros.methods.signals.differentiation import CausalDifferentiator, SampleStatus
 
 _NEVER, _EVER = -(2**62), 2**62  # ns
 _UNUSED = (SampleStatus.OLD, SampleStatus.JUMP, SampleStatus.NOT_FINITE)

@@ -6,13 +6,74 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.estimation.estimator import Belief, Estimator, Measurement
-from mbd_ros.core.estimation.kalman_filter import KalmanFilter
-from mbd_ros.core.estimation.sensor_set import SensorSet
 from mbd_ros.core.state import Array
-from mbd_ros.features.estimation.innovation_watch import InnovationWatch
-from mbd_ros.features.estimation.lag_window import LagWindow
-from mbd_ros.features.estimation.sensor_faults import SensorFaults
+from mbd_ros.features.estimation.faults import InnovationWatch, SensorFaults
+from mbd_ros.methods.estimation.kalman_filter import Filtered, KalmanFilter, smoothed
+from mbd_ros.methods.estimation.process import Belief, Estimator, Measurement, Process, SensorSet
+
+# ---- lag window -------------------------------------------------------------------------------
+# Samples of a filter whose estimates wait for what is measured a while later.
+
+
+_LAG_WINDOW_SAME = 1.0e-9  # s
+
+
+class Delayed(NamedTuple):
+    """The estimate of a sample by all that was measured until its lag was over.
+
+    Attributes:
+        belief: The estimate; its innovation is that of the filter.
+        u: Inputs until then, None without.
+    """
+
+    belief: Belief
+    u: Array | None
+
+
+class LagWindow:
+    """The newest samples, for estimates with a fixed lag: see `smoother`.
+
+    Args:
+        process: What is filtered.
+        lag: How long after a sample measurements count for its estimate [s].
+    """
+
+    def __init__(self, process: Process, lag: float) -> None:
+        self._process, self._lag, self._told = process, lag, -np.inf
+        self._samples, self._inputs = list[Filtered](), list[Array | None]()
+
+    def add(self, sample: Filtered, u: Array | None) -> None:
+        """Take the newest sample; one at the time of the last one completes that."""
+        if self._samples and sample.belief.t <= self._samples[-1].belief.t + _LAG_WINDOW_SAME:
+            self._samples[-1] = self._samples[-1]._replace(belief=sample.belief)
+            self._inputs[-1] = u
+        elif sample.belief.t > self._told + _LAG_WINDOW_SAME:
+            self._samples.append(sample)
+            self._inputs.append(u)
+
+    def back_to(self, t: float) -> None:
+        """Forget samples after a time [s]: they are taken again."""
+        while self._samples and self._samples[-1].belief.t > t + _LAG_WINDOW_SAME:
+            del self._samples[-1], self._inputs[-1]
+
+    def due(self) -> list[Delayed]:
+        """Estimates of the samples whose lag is over, in the order of time, each once."""
+        if not self._samples:
+            return []
+        end = self._samples[-1].belief.t - self._lag + _LAG_WINDOW_SAME
+        count = sum(sample.belief.t <= end for sample in self._samples)
+        if not count:
+            return []
+        self._told = self._samples[count - 1].belief.t
+        pairs = zip(smoothed(self._process, self._samples), self._inputs, strict=True)
+        found = [Delayed(belief, u) for belief, u in pairs][:count]
+        del self._samples[:count], self._inputs[:count]
+        return found
+
+
+# ---- tracker ----------------------------------------------------------------------------------
+# An estimator at work: samples that come late, in disorder, not at all, or wrong.
+
 
 _SAME = 1.0e-9  # s
 _GAP = 5.0  # times the usual interval: more than that between samples is a gap

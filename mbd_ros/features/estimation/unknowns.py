@@ -1,25 +1,224 @@
-"""Numbers of a scene that are estimated: names and deviations to states of an estimator."""
+"""Numbers, inertias and efforts that nobody knows, as states of an estimator."""
 
 import inspect
 import math
 import typing
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.contracts.parts import Internal, Load
-from mbd_ros.core.contracts.sensor import Sensor
+from mbd_ros.core.contracts import Internal, Load, Measures, Now, Sensor, Slots, Wrench
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Within, described
+from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
-from mbd_ros.features.estimation.unknown_inertias import UnknownMass
-from mbd_ros.features.estimation.unknown_numbers import OffsetSensor, UncertainLoad, UnknownNumber
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.numbers import places_of
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.reading.part_entries import part_of
 from mbd_ros.scene.schema.nearest import nearest
+
+# ---- unknown numbers --------------------------------------------------------------------------
+# Numbers of a scene that nobody knows exactly, as states of an estimator of rate 0.
+
+
+_KEPT = 16  # loads of other numbers
+
+
+class UnknownNumber(Load):
+    """Numbers that act by what reads them: offsets of sensors, inertias.
+
+    Args:
+        owner: Name of what they belong to.
+        internal: The numbers, by their arguments.
+        nv: Size of the velocity of the robot.
+    """
+
+    def __init__(self, owner: str, internal: Sequence[Internal], nv: int) -> None:
+        self.name, self.internal = owner, tuple(internal)
+        self._none, self._still = np.zeros(nv), np.zeros(len(self.internal))
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Nothing, shape (nv,), not to be written to."""
+        return self._none
+
+    def constant_slopes(self, nv: int, nz: int) -> Array:
+        """Nothing, shape (nv, 2 nv + nz)."""
+        return np.zeros((nv, 2 * nv + nz))
+
+    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Nothing, shape (len(internal),)."""
+        return self._still
+
+
+class UncertainLoad(Load):
+    """A load with numbers that are estimated; internal states of its own come first.
+
+    Args:
+        load: As the scene has it.
+        make: Makes the same load with other values of these numbers.
+        internal: The numbers, by their arguments.
+    """
+
+    def __init__(
+        self, load: Load, make: Callable[[Sequence[float]], Load], internal: Sequence[Internal]
+    ) -> None:
+        self.name, self.reads, self.inputs = load.name, load.reads, load.inputs
+        self._own, self._make = len(load.internal), make
+        self.internal = (*load.internal, *internal)
+        self._kept = dict[bytes, Load]()
+
+    def bind(self, slots: Slots) -> None:
+        """As `Part.bind`; the load has the first internal states."""
+        super().bind(slots)
+        self._kept = {}
+
+    def _made(self, x: State) -> Load:
+        numbers = x.z[self.z][self._own :]
+        key = numbers.tobytes()
+        load = self._kept.get(key)
+        if load is None:
+            load = self._make(numbers.tolist())
+            load.bind(Slots(self.u, slice(self.z.start, self.z.start + self._own)))
+            if len(self._kept) >= _KEPT:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = load
+        return load
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Generalized force [N·m or N], shape (nv,)."""
+        return self._made(x).force(k, x, u)
+
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
+        """As those of the load."""
+        return self._made(x).wrenches(k, x, u)
+
+    def potential(self, k: Kinematics, x: State) -> float:
+        """Energy that it stores [J]."""
+        return self._made(x).potential(k, x)
+
+    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Those of the load, then nothing, shape (len(internal),)."""
+        found = np.zeros(len(self.internal))
+        if self._own:
+            found[: self._own] = self._made(x).rates(k, x, u)
+        return found
+
+
+class OffsetSensor(Sensor):
+    """A sensor whose offset is estimated.
+
+    Args:
+        sensor: As the scene has it.
+        offset: The offset, one number a component, beyond that of the sensor itself.
+    """
+
+    def __init__(self, sensor: Sensor, offset: UnknownNumber) -> None:
+        self.name, self.inner, self._offset = sensor.name, sensor, offset
+        self.level, self.reads, self.unit = sensor.level, sensor.reads, sensor.unit
+        self.components, self.label, self.delay = sensor.components, sensor.label, sensor.delay
+        self.is_linear, self.noise_varies = sensor.is_linear, sensor.noise_varies
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """As the sensor, by the estimated offset more."""
+        measured: Array = self.inner.measure(k, x, now) + x.z[self._offset.z]
+        return measured
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """As that of the sensor."""
+        return self.inner.jacobian(k, x)
+
+    def by_position(self, k: Kinematics, x: State) -> Array | None:
+        """As that of the sensor."""
+        return self.inner.by_position(k, x)
+
+    def by_internal(self, nz: int) -> Array | None:
+        """Ones by the offset; differences see it where there is an acceleration."""
+        if self.level >= Measures.ACCELERATION:
+            return None
+        return np.eye(nz)[np.arange(nz)[self._offset.z]]
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """As that of the sensor."""
+        return self.inner.covariance(k, x)
+
+
+# ---- unknown inertias -------------------------------------------------------------------------
+# Masses of links and payloads as states of an estimator.
+#
+# Inertias of bodies are linear in them: pi = pi_0 + sum (z_i - z_i0) d_i, with the ten numbers of
+# a
+# body. Source: C. G. Atkeson, C. H. An, J. M. Hollerbach, Int. J. Robotics Research 5(3) (1986).
+
+
+class UnknownMass(NamedTuple):
+    """A mass whose number is an internal state.
+
+    Attributes:
+        part: Its internal state.
+        joint: Index of the joint that carries it.
+        first: Its value in the model [kg].
+        unit: Ten numbers of 1 kg of it, in the axes of the joint, shape (10,).
+    """
+
+    part: UnknownNumber
+    joint: int
+    first: float
+    unit: Array
+
+
+class UnknownInertias:
+    """Writes masses into a model.
+
+    Args:
+        model: Pinocchio model that nobody else uses.
+        masses: The masses.
+    """
+
+    def __init__(self, model: Any, masses: Sequence[UnknownMass]) -> None:
+        self._model, self._data, self.masses = model, pin.Data(model), tuple(masses)
+        joints = {mass.joint for mass in masses}
+        self._known = {j: np.array(model.inertias[j].toDynamicParameters()) for j in joints}
+        self._written = b""
+
+    def write(self, z: Array) -> None:
+        """Give the model the inertias of internal states."""
+        if not self.masses or self._written == z.tobytes():
+            return
+        self._written = z.tobytes()
+        self._set([float(z[mass.part.z][0]) for mass in self.masses])
+
+    def efforts(self, x: State, a: Array) -> Array:
+        """What 1 kg more of each asks of the joints [N·m/kg or N/kg], shape (nv, count).
+
+        Args:
+            x: State of all joints, whose internal states are written.
+            a: Accelerations of all joints, shape (nv,).
+        """
+        values = [float(x.z[mass.part.z][0]) for mass in self.masses]
+        here = np.array(pin.rnea(self._model, self._data, x.q, x.v, a))
+        found = np.empty((len(here), len(values)))
+        for i in range(len(values)):
+            self._set([value + (i == j) for j, value in enumerate(values)])
+            found[:, i] = pin.rnea(self._model, self._data, x.q, x.v, a) - here
+        self._set(values)
+        return found
+
+    def _set(self, values: Sequence[float]) -> None:
+        total = {joint: known.copy() for joint, known in self._known.items()}
+        for mass, value in zip(self.masses, values, strict=True):
+            total[mass.joint] += (value - mass.first) * mass.unit
+        for joint, numbers in total.items():
+            self._model.inertias[joint] = pin.Inertia.FromDynamicParameters(numbers)
+
+
+# ---- unknowns ---------------------------------------------------------------------------------
+# Numbers of a scene that are estimated: names and deviations to states of an estimator.
+
 
 MASS, PAYLOAD, OFFSET = "mass", "payload", "offset"
 _LEAST = 1.0e-3  # of the mass of a link, below which it is not estimated to be
@@ -189,3 +388,64 @@ def _maker(
 def _unknown(key: str, word: str, names: Sequence[str]) -> str:
     close = nearest(word, names) or sorted(names)
     return f"parameters: '{key}' cannot be estimated; there are {', '.join(close[:20]) or 'none'}"
+
+
+# ---- effort disturbance -----------------------------------------------------------------------
+# Efforts that nobody measures, as states of an estimator.
+
+
+class EffortDisturbance(Load):
+    """An unknown effort on each of some joints: tau = z, z' = 0 but for noise.
+
+    Efforts that drift have rates, which are states too: z' = r, r' = 0 but for noise.
+
+    Args:
+        robot: Robot of the scene.
+        joints: Where they act.
+        drifting: Whether they have rates; these stand behind the efforts.
+
+    Raises:
+        ModelError: Unknown joint.
+    """
+
+    def __init__(self, robot: Robot, joints: Sequence[str], *, drifting: bool = False) -> None:
+        found = [robot.joint(name) for name in joints]
+        self.name, self.joints = "disturbance", tuple(joints)
+        efforts = [
+            Internal(j.name, j.effort_unit, initial=0.0, is_constant=not drifting) for j in found
+        ]
+        rates = [
+            Internal(f"{j.name}_rate", f"{j.effort_unit}/s", initial=0.0, is_constant=True)
+            for j in found
+        ]
+        self.internal = (*efforts, *(rates if drifting else ()))
+        self.drifting, self._count = drifting, len(found)
+        self._v, self._nv = np.array([j.v for j in found], dtype=np.intp), int(robot.model.nv)
+        self._still = np.zeros(len(self.internal))
+
+    @property
+    def efforts(self) -> slice:
+        """Where the efforts stand in z."""
+        return slice(self.z.start, self.z.start + self._count)
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Generalized force [N·m or N], shape (nv,)."""
+        tau, efforts = k.zeros(self._nv), x.z[self.z]
+        tau[self._v] = efforts[: self._count] if self.drifting else efforts
+        return tau
+
+    def constant_slopes(self, nv: int, nz: int) -> Array | None:
+        """Ones by the efforts, shape (nv, 2 nv + nz); None where these drift."""
+        if self.drifting:
+            return None
+        slopes = np.zeros((nv, 2 * nv + nz))
+        slopes[self._v, 2 * nv + np.arange(nz)[self.z]] = 1.0
+        return slopes
+
+    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Of the efforts, and nothing of their rates, shape (len(internal),)."""
+        if not self.drifting:
+            return self._still
+        found = np.zeros(len(self.internal))
+        found[: self._count] = x.z[self.z][self._count :]
+        return found

@@ -5,18 +5,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.sensitivities.simulated_flow import SimulatedFlow
-from mbd_ros.core.sensitivities.travel import Travel
+from mbd_ros.compiled.build.compiler import cores
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, FallError, SolveError
 from mbd_ros.features.gait.flows import SceneFamily, flow_of
-from mbd_ros.features.gait.invariance import candidates
-from mbd_ros.features.gait.search import Gait
-from mbd_ros.features.gait.starts import Start, grid_starts, placed_at
+from mbd_ros.features.gait.periodic import candidates
+from mbd_ros.features.gait.search import Gait, Start, grid_starts, placed_at
 from mbd_ros.features.gait.task import BasinTask, gait_task
-from mbd_ros.jobs.workers.opening import cores, do_all, open_workers
-from mbd_ros.jobs.workers.remaining import watched
+from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
 from mbd_ros.jobs.workers.task import Task
+from mbd_ros.methods.sensitivities.flow import Travel
+from mbd_ros.methods.sensitivities.simulated_flow import SimulatedFlow
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 

@@ -4,8 +4,8 @@ import argparse
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
-from mbd_ros.jobs.workers.arguments import add_workers
+from mbd_ros.jobs.progress import say
+from mbd_ros.jobs.workers.opening import add_workers
 from mbd_ros.scene.schema.locate import path_word
 
 
@@ -31,8 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.gait.job import Where
-    from mbd_ros.features.gait.to_file import gait_to
+    from mbd_ros.features.gait.job import Where, gait_to
     from mbd_ros.scene.reader import load_scene
 
     where = Where(arguments.workers, arguments.scheduler)

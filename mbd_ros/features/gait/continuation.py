@@ -1,16 +1,104 @@
 """Branches of periodic motions along a parameter, by pseudo-arclength."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.events.event_location import sign_change
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import FallError, MbdError, SolveError
-from mbd_ros.features.gait.branch import Branch, BranchPoint, changes, test
-from mbd_ros.features.gait.periodic import PeriodicMotion, is_accepted, is_closed, newton
-from mbd_ros.features.gait.return_map import Passage, ReturnMap, multipliers
+from mbd_ros.errors import FallError, MbdError, SceneError, SolveError
+from mbd_ros.features.gait.flows import SceneFamily
+from mbd_ros.features.gait.periodic import (
+    Passage,
+    PeriodicMotion,
+    ReturnMap,
+    is_accepted,
+    is_closed,
+    multipliers,
+    newton,
+)
+from mbd_ros.features.gait.search import Gait
+from mbd_ros.features.gait.task import ContinuationTask
+from mbd_ros.jobs.progress import Say
+from mbd_ros.methods.events.crossings import sign_change
+from mbd_ros.scene.numbers import found_place, places_of
+from mbd_ros.scene.reading.building import Origin
+
+# ---- branch -----------------------------------------------------------------------------------
+# Points of a branch of periodic motions, and what changes between two of them.
+
+
+DOUBLING, FOLD, TORUS = "period doubling", "fold", "torus bifurcation"
+
+
+class BranchPoint(NamedTuple):
+    """A periodic motion at one value of a parameter.
+
+    Attributes:
+        parameter: The value.
+        motion: The motion.
+        tangent: Direction of the branch: of the state before the event of the section, then of
+            the parameter in units of its range; of length one, shape (n + 1,).
+        slopes: Derivative of the residual by the same, shape (n, n + 1).
+        mark: What happens there; empty for an ordinary point.
+    """
+
+    parameter: float
+    motion: PeriodicMotion
+    tangent: Array
+    slopes: Array
+    mark: str = ""
+
+
+class Branch(NamedTuple):
+    """Periodic motions along a parameter.
+
+    Attributes:
+        points: In the order of the branch.
+        cycles: Cycles after which they repeat.
+        ended: Why it ends.
+    """
+
+    points: tuple[BranchPoint, ...]
+    cycles: int
+    ended: str
+
+    @property
+    def marks(self) -> tuple[BranchPoint, ...]:
+        """The points at which something happens."""
+        return tuple(point for point in self.points if point.mark)
+
+
+def changes(one: BranchPoint, other: BranchPoint) -> Iterator[str]:
+    """What happens between two points of a branch: folds, doublings, tori."""
+    for mark in (FOLD, DOUBLING, TORUS):
+        if test(mark, one) * test(mark, other) < 0.0:
+            yield mark
+
+
+def test(mark: str, point: BranchPoint) -> float:
+    """A number that changes its sign where something happens.
+
+    Args:
+        mark: A fold: the direction of the parameter. A doubling: prod (1 + m) of the multipliers
+            m. A torus: |m|^2 - 1 of the pair of complex ones that is nearest to the unit circle.
+        point: The point.
+
+    Source: Y. Kuznetsov, Elements of Applied Bifurcation Theory, 2004, ch. 5 and 10.
+    """
+    found = point.motion.multipliers
+    if mark == FOLD:
+        return float(point.tangent[-1])
+    if mark == DOUBLING:
+        return float(np.prod(1.0 + found).real)
+    pairs = np.abs(found[found.imag > 0.0]) ** 2 - 1.0
+    return float(pairs[np.abs(pairs).argmin()]) if len(pairs) else 0.0
+
+
+# ---- continuation -----------------------------------------------------------------------------
+# Branches of periodic motions along a parameter, by pseudo-arclength.
+
 
 Family = Callable[[float], ReturnMap]
 """The return map at a value of the parameter."""
@@ -248,3 +336,122 @@ def _tangent(slopes: Array, like: Array) -> Array:
 
 def _between(way: ReturnMap, one: State, other: State, part: float) -> State:
     return way.flow.plus(one, part * way.flow.minus(other, one))
+
+
+# ---- branches ---------------------------------------------------------------------------------
+# Branches of gaits along a parameter.
+
+
+_ROUNDING = 1.0e-9  # of the range: a value that a scene states by sine and cosine
+
+
+class NamedBranch(NamedTuple):
+    """A branch and its origin.
+
+    Attributes:
+        branch: The branch.
+        gait: Number of the gait from which it comes, from 1 on.
+        of: What it is, for people.
+    """
+
+    branch: Branch
+    gait: int
+    of: str
+
+
+def branches_of(
+    family: SceneFamily, gait: Gait, number: int, asked: ContinuationTask, say: Say
+) -> Iterator[NamedBranch]:
+    """The branch through a gait, and those of twice the period that leave it.
+
+    Args:
+        family: The return maps along the parameter.
+        gait: Where it begins.
+        number: Of the gait, from 1 on.
+        asked: What is asked.
+        say: Is told what happens on the way.
+
+    Raises:
+        SceneError: The scene's own value of the parameter is outside the range.
+    """
+    value = own_value(family, asked)
+    maps = family.of(gait.section, gait.travel)
+    along = Continuation(maps, asked.low, asked.high, asked.points)
+    cycles = family.task.cycles
+    up = along.branch(gait.motion, value, 1, cycles)
+    down = along.branch(gait.motion, value, -1, cycles)
+    points = (*reversed(down.points[1:]), *up.points)
+    whole = Branch(points, cycles, " and ".join(dict.fromkeys((down.ended, up.ended))))
+    waiting = [(NamedBranch(whole, number, f"gait {number}"), 0)]
+    while waiting:
+        named, level = waiting.pop(0)
+        yield named
+        for mark in named.branch.marks:
+            if mark.mark != DOUBLING or level >= asked.doublings:
+                continue
+            try:
+                doubled = along.doubled(mark, named.branch.cycles)
+            except SolveError as error:
+                say(f"{named.of}: {error}")
+                continue
+            of = f"{named.of}, doubled at {mark.parameter:.9g}"
+            waiting.append((NamedBranch(doubled, number, of), level + 1))
+
+
+def own_value(family: SceneFamily, asked: ContinuationTask) -> float:
+    """The value of the parameter in the scene as it is.
+
+    Raises:
+        SceneError: It is not one number, or outside the range.
+    """
+    value = family.value()
+    where = f"{family.task.source or family.scene.name}: gait.continuation"
+    if value is None:
+        scene = family.scene
+        place, path = found_place(Origin(title=where), places_of(scene), asked.parameter)
+        inner = scene.entries[place.section]
+        for key in (*([] if place.at is None else [place.at]), *path):
+            inner = inner.get(key) if isinstance(inner, dict) else inner[key]
+        if type(inner) not in (int, float):
+            raise SceneError(
+                f"{where}.parameter: {asked.parameter} is {inner!r} in the scene, accepted: a "
+                "number that it states"
+            )
+        value = float(inner)
+    slack = _ROUNDING * (asked.high - asked.low)
+    if not asked.low - slack <= value <= asked.high + slack:
+        raise SceneError(
+            f"{where}: {asked.parameter} is {value:.9g} in the scene, outside {asked.low:g} .. "
+            f"{asked.high:g}: the branch begins with the scene"
+        )
+    return min(max(value, asked.low), asked.high)
+
+
+def branch_lines(named: NamedBranch, parameter: str) -> Iterator[str]:
+    """What is said of a branch: its ends, its marks, where it is stable."""
+    points = named.branch.points
+    first, last = points[0].parameter, points[-1].parameter
+    cycles = named.branch.cycles
+    yield (
+        f"branch of {named.of}: {parameter} {first:.9g} .. {last:.9g}, {len(points)} points, "
+        f"repeats after {cycles} cycle{'s' * (cycles > 1)}; {named.branch.ended}"
+    )
+    for begin, end in stable_stretches(points):
+        yield f"  stable for {parameter} {begin:.9g} .. {end:.9g}"
+    for mark in named.branch.marks:
+        yield f"  {mark.mark} at {parameter} = {mark.parameter:.12g}"
+
+
+def stable_stretches(points: tuple[BranchPoint, ...]) -> list[tuple[float, float]]:
+    """Values of the parameter between which a branch is stable, as far as marks or points say."""
+    found: list[tuple[float, float]] = []
+    stable = [point.motion.is_stable or bool(point.mark) for point in points]
+    begin: int | None = None
+    for i, is_stable in enumerate([*stable, False]):
+        if is_stable and begin is None:
+            begin = i
+        elif not is_stable and begin is not None:
+            if any(point.motion.is_stable and not point.mark for point in points[begin:i]):
+                found.append((points[begin].parameter, points[i - 1].parameter))
+            begin = None
+    return found

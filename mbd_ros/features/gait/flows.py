@@ -5,16 +5,14 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from mbd_ros.core.contracts import label
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
-from mbd_ros.core.names import label
-from mbd_ros.core.sensitivities.flow import Segment
-from mbd_ros.core.sensitivities.simulated_flow import EndsCycle, SimulatedFlow
-from mbd_ros.core.sensitivities.travel import Travel
-from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.errors import SceneError
-from mbd_ros.features.gait.invariance import candidates, travel_of
-from mbd_ros.features.gait.return_map import ReturnMap
+from mbd_ros.features.gait.periodic import ReturnMap, candidates, travel_of
 from mbd_ros.features.gait.task import GaitTask
+from mbd_ros.methods.sensitivities.flow import Segment, Travel
+from mbd_ros.methods.sensitivities.simulated_flow import EndsCycle, SimulatedFlow
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema.nearest import nearest
 

@@ -6,29 +6,35 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.features.gait.branches import NamedBranch, branch_lines, branches_of, own_value
+from mbd_ros.errors import DataError, ModelError, SceneError
+from mbd_ros.features.gait.continuation import NamedBranch, branch_lines, branches_of, own_value
 from mbd_ros.features.gait.flows import SceneFamily
-from mbd_ros.features.gait.measures import Measures, measures_of
 from mbd_ros.features.gait.search import Gait, found_gaits
 from mbd_ros.features.gait.tables import (
     BASIN,
     BRANCHES,
     GAITS,
+    Measures,
     basin_table,
     branch_table,
     gait_table,
+    measures_of,
     motion_table,
 )
 from mbd_ros.features.gait.task import GaitTask, gait_task
+from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
-from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.jobs.arguments import about
+from mbd_ros.jobs.progress import Say, Watch, watching
+from mbd_ros.jobs.result_files import beside, write_tables
 from mbd_ros.motion.columns import state_topics
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.task_reader import read_task
+
+# ---- job --------------------------------------------------------------------------------------
+# Periodic motions of a scene: `mbd-ros gait`.
+
 
 _SHOWN = 6  # multipliers in a line
 _SMALL = 1.0e-9  # multiplier that is not shown: what differences leave of none
@@ -179,3 +185,48 @@ def _basin(family: SceneFamily, gaits: Sequence[Gait], say: Say, where: Where) -
     counts = ", ".join(f"{word} {words.count(word)}" for word in sorted(set(words)))
     say(f"basin: {len(words)} starts: {counts}")
     return basin_table(outcomes)
+
+
+# ---- to file ----------------------------------------------------------------------------------
+# Gaits into files: `mbd-ros gait`.
+
+
+_PAGES = (".html", ".htm")
+
+
+def gait_to(
+    scene: Scene, task: Path | None, out: Path | None, page: Path | None, say: Say, where: Where
+) -> None:
+    """Find gaits, and write them where a place is given.
+
+    Args:
+        scene: The scene.
+        task: Task file; None for a gait near the start of the scene.
+        out: The motion of the first gait; its suffix chooses the format.
+        page: A page for people.
+        say: Is told what was found, a line each.
+        where: Where basins are scanned.
+
+    Raises:
+        MbdError: As `gait`, or a place that cannot be written to.
+    """
+    asked = task_of(scene, task)
+    if page is not None and page.suffix not in _PAGES:
+        raise DataError(f"--page {page}: expected the suffix .html")
+    for place in filter(None, (out, page)):
+        refuse_overwriting(place, task, scene.path)
+    if out is not None:
+        for place in (out, *(beside(out, name) for name in (GAITS, BRANCHES, BASIN))):
+            check_place(place)
+    if page is not None and not page.parent.is_dir():
+        raise DataError(f"{page}: directory {page.parent} does not exist")
+    result = run_gait(scene, asked, say, where)
+    if out is not None:
+        write_tables(result, out, say)
+    if page is not None:
+        from mbd_ros.features.gait.page import write_page
+
+        write_page(
+            result, page, "" if asked.continuation is None else asked.continuation.parameter
+        )
+        say(f"page -> {page}")

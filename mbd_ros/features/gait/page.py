@@ -13,8 +13,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.features.gait.tables import BASIN, BRANCHES, GAITS, MARKS
 from mbd_ros.files.plot import Picture
 from mbd_ros.files.replacing import replacing
-from mbd_ros.files.table import MAIN, Result, Table
-from mbd_ros.files.times import TIME
+from mbd_ros.files.table import MAIN, TIME, Result, Table
 
 # Pictures of gaits: portraits, branches, basins.
 

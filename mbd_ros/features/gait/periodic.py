@@ -1,12 +1,135 @@
 """Motions that repeat: Newton's method on a return map."""
 
-from typing import NamedTuple
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import FORGOTTEN
 from mbd_ros.errors import FallError, SolveError
-from mbd_ros.features.gait.return_map import Passage, ReturnMap, multipliers
+from mbd_ros.methods.sensitivities.flow import HybridFlow, Segment, Travel, TravelCoordinate
+from mbd_ros.methods.sensitivities.saltation import (
+    landed,
+    landing,
+    section_reset,
+    through,
+    transition,
+)
+
+# ---- return map -------------------------------------------------------------------------------
+# The map from one event of a gait to the same event a cycle later.
+
+
+class Passage(NamedTuple):
+    """One way through the return map.
+
+    Attributes:
+        start: Segment that ends with the event of the section: its end is where the map begins.
+        segments: The motion from there, over all cycles, up to the same event.
+        back: Its end, moved back along the travel.
+        residual: Tangent from the begin to `back`, shape (n,).
+    """
+
+    start: Segment
+    segments: tuple[Segment, ...]
+    back: State
+    residual: Array
+
+    @property
+    def begin(self) -> State:
+        """State just before the event of the section, where the map begins."""
+        return self.start.end
+
+    @property
+    def period(self) -> float:
+        """Time of the motion [s]."""
+        return self.segments[-1].end.t - self.segments[0].begin.t
+
+
+class ReturnMap:
+    """State before an event of a cycle -> state before the same event, cycles later.
+
+    States before the event are on its guard, and the reset brings what is free after it: a guess
+    that is off stays a state from which the gait can go on.
+
+    Args:
+        flow: Motions with events.
+        section: Segment that ends with the event of the section.
+        travel: Along which the motion may begin anywhere.
+        cycles: Cycles of the flow that count as one; 2 for motions that repeat every other one.
+    """
+
+    def __init__(
+        self, flow: HybridFlow, section: Segment, travel: Travel, cycles: int = 1
+    ) -> None:
+        self.flow, self.section, self.travel, self.cycles = flow, section, travel, cycles
+
+    def repeated(self, cycles: int) -> "ReturnMap":
+        """The same map with another number of cycles."""
+        return ReturnMap(self.flow, self.section, self.travel, cycles)
+
+    def passage(self, y: State) -> Passage:
+        """The way through the map from a state near the guard of the section.
+
+        Raises:
+            FallError: The motion does not come back.
+        """
+        flow = self.flow
+        y = flow.onto(y._replace(t=self.section.end.t))
+        y = landed(flow, self.section, y, flow.rate(y))
+        x = flow.reset(self.section, y)
+        start, segments = self.section._replace(end=y, after=x), list[Segment]()
+        for _ in range(self.cycles):
+            segments += flow.cycle(x)
+            x = segments[-1].after
+        back = self.travel.back(flow, segments[-1].end, y)
+        return Passage(start, tuple(segments), back, flow.minus(back, y))
+
+    def derivative(self, passage: Passage) -> Array:
+        """Derivative of where a passage ends by where it begins, shape (n, n).
+
+        Transitions of smooth segments and saltation matrices of events, ended by the landing on
+        the guard; what travels away is taken out.
+
+        Raises:
+            SolveError: The motion grazes a guard.
+        """
+        flow, segments = self.flow, passage.segments
+        moved, late = section_reset(flow, passage.start), np.zeros(flow.size)
+        for segment in segments[:-1]:
+            moved, delays = through(flow, segment, transition(flow, segment).dot(moved), late)
+            late = delays if flow.ends_phase(segment) else late
+        last = segments[-1]
+        moved = landing(flow, last, transition(flow, last).dot(moved), late)
+        found: Array = self.travel.without(last.end, flow.size).dot(moved)
+        return found
+
+
+def multipliers(derivative: Array) -> Array:
+    """Floquet multipliers, the largest first; directions in which the map forgets all are 0.
+
+    The map has no more multipliers than its derivative has ranks: eigenvalues are taken on its
+    range, since a nilpotent part would turn rounding into multipliers of its square root.
+
+    Args:
+        derivative: Of a return map, shape (n, n).
+
+    Returns:
+        Shape (n,), complex; those with a positive imaginary part before their conjugates.
+    """
+    left, sizes, right = np.linalg.svd(derivative)
+    rank = int(np.sum(sizes > FORGOTTEN * max(1.0, sizes[0])))
+    on_range = (sizes[:rank, None] * right[:rank]).dot(left[:, :rank])
+    found = np.zeros(len(derivative), complex)
+    found[:rank] = np.linalg.eigvals(on_range)
+    order = sorted(found, key=lambda m: (-round(abs(m), 12), -m.real, -m.imag))
+    return np.array(order)
+
+
+# ---- periodic ---------------------------------------------------------------------------------
+# Motions that repeat: Newton's method on a return map.
+
 
 _CLOSED = 1.0e-11  # of 1 + the largest entry of the state: a residual that is none
 _ACCEPTED = 1.0e-9  # the same: enough where steps gain no more
@@ -134,3 +257,82 @@ def _scale(passage: Passage) -> float:
     y = passage.begin
     sizes = (np.abs(values).max(initial=0.0) for values in (y.v, y.z))
     return 1.0 + float(max(sizes))
+
+
+# ---- invariance -------------------------------------------------------------------------------
+# Along which coordinates a motion may begin anywhere.
+
+
+_ASIDE = 1.0e-3  # m: how far a motion is moved to see whether it changes
+_SAME = 1.0e-7  # change of rates and guards a metre, over the largest entry
+
+
+def candidates(system: Any) -> tuple[TravelCoordinate, ...]:
+    """Translations of free bodies, and of slides between the world and a robot.
+
+    Args:
+        system: The system.
+    """
+    robot, model = system.robot, system.model
+    kept = {int(v): i for i, v in enumerate(system.integrated(np.arange(float(model.nv))))}
+    chart = system.chart.model
+    q_of = {int(j.idx_v): int(j.idx_q) for j in chart.joints if j.nv}
+    found = [
+        TravelCoordinate(f"{base.name}.position.{axis}", q_of[kept[base.v.start]], v, number)
+        for base in robot.bases
+        if (v := kept.get(base.v.start)) is not None
+        for number, axis in enumerate("xyz")
+    ]
+    carried = {0}
+    for joint in robot.joints:
+        index = next(i for i, j in enumerate(model.joints) if j.nv and j.idx_v == joint.v)
+        if joint.kind != "prismatic" or int(model.parents[index]) not in carried:
+            continue
+        carried.add(index)
+        if joint.v in kept:
+            v = kept[joint.v]
+            found.append(TravelCoordinate(joint.name, q_of[v], v))
+    return tuple(found)
+
+
+def travel_of(
+    flow: Any, segments: Sequence[Segment], coordinates: Sequence[TravelCoordinate]
+) -> Travel:
+    """The directions along which neither rates nor rows nor guards nor resets change.
+
+    Args:
+        flow: The motion.
+        segments: A cycle of it.
+        coordinates: Those that may be such directions.
+    """
+    if not coordinates:
+        return Travel()
+    changes, sizes = [], [1.0]
+    for x, seen in _places(flow, segments):
+        along = Travel(coordinates).tangents(x, flow.size)
+        near = seen(x)
+        sizes.append(float(np.abs(near).max(initial=0.0)))
+        sides = [
+            [seen(flow.plus(x, sign * _ASIDE * one)) for one in along.T] for sign in (1.0, -1.0)
+        ]
+        changes.append((np.array(sides[0]) - np.array(sides[1])).T / (2.0 * _ASIDE))
+    every = np.vstack(changes)
+    _, found, right = np.linalg.svd(every, full_matrices=True)
+    count = int(np.sum(found > _SAME * max(sizes)))
+    return Travel(coordinates, right[count:])
+
+
+def _places(flow: Any, segments: Sequence[Segment]) -> Iterator[tuple[State, Any]]:
+    """States, and what must not change there."""
+
+    def within(x: State) -> Array:
+        return np.concatenate((flow.rate(x), flow.open(x)))
+
+    for segment in segments:
+        yield segment.begin, within
+
+        def at_end(x: State, segment: Segment = segment) -> Array:
+            after = flow.minus(flow.reset(segment, x), x)
+            return np.concatenate((within(x), [flow.value(segment, x)], after))
+
+        yield segment.end, at_end

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
+from mbd_ros.jobs.progress import say
 from mbd_ros.scene.schema.locate import path_word
 
 
@@ -154,7 +154,7 @@ def gains_of(words: Sequence[str]) -> dict[str, float]:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.identification.report import identify_to
+    from mbd_ros.features.identification.job import identify_to
     from mbd_ros.features.identification.task import Task
     from mbd_ros.scene.reader import load_scene
 

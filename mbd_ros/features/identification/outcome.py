@@ -1,33 +1,146 @@
 """What an identification found: tables, lines and the scene."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from itertools import pairwise
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
+import yaml
 
+from mbd_ros.core.model.robot_reader import place_inertias
 from mbd_ros.core.state import Array
-from mbd_ros.features.identification.band import Filter, grid_step
+from mbd_ros.errors import DataError, SceneError
 from mbd_ros.features.identification.base_parameters import parameter_name
-from mbd_ros.features.identification.bodies import inertias_of_links
-from mbd_ros.features.identification.coupled_motors import also_of
-from mbd_ros.features.identification.identified_scene import friction_entries, identified_scene
-from mbd_ros.features.identification.measured_torques import (
+from mbd_ros.features.identification.drives import (
     Measured,
+    also_of,
     as_measured,
     efforts,
     feedback_of,
     torques,
 )
-from mbd_ros.features.identification.physical_consistency import Consistent, prior_deviation
+from mbd_ros.features.identification.physical_consistency import (
+    Consistent,
+    inertias_of_links,
+    prior_deviation,
+)
 from mbd_ros.features.identification.problem import Problem
 from mbd_ros.features.identification.regression import Learned, residual
-from mbd_ros.features.identification.samples import Piece
+from mbd_ros.features.identification.regressor import Column
+from mbd_ros.features.identification.samples import Filter, Piece, grid_step
 from mbd_ros.features.identification.task import Identified
-from mbd_ros.files.table import Column, Table
-from mbd_ros.jobs.lines import Say
+from mbd_ros.files.replacing import replacing
+from mbd_ros.files.table import Column as TableColumn
+from mbd_ros.files.table import Table
+from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
+
+# ---- identified scene -------------------------------------------------------------------------
+# The scene that an identification found, and its files.
+
+
+FRICTION = ("joint_friction", "gear_friction")  # what is found anew
+_WIDTH = 140
+
+
+def without_friction(scene: Scene) -> Scene:
+    """The scene without the friction of its joints."""
+    given = scene.entries.get("forces") or []
+    kept = [entry for entry in given if entry.get("type") not in FRICTION]
+    return scene if len(kept) == len(given) else scene.with_(forces=kept)
+
+
+def friction_entries(
+    names: Sequence[str],
+    chosen: Sequence[Sequence[Column]],
+    values: Sequence[Sequence[float]],
+    also: Sequence[Mapping[str, float]],
+) -> list[dict[str, Any]]:
+    """Entries of `gear_friction`, of joints with any.
+
+    Args:
+        names: Of the joints.
+        chosen: Columns of each.
+        values: Of these columns.
+        also: Of each the other joints that turn its motor, and their ratios.
+    """
+    entries = []
+    for name, columns, own, others in zip(names, chosen, values, also, strict=True):
+        entry: dict[str, Any] = {"type": "gear_friction", "joint": name}
+        for column, value in zip(columns, own, strict=True):
+            if column.term == "offset":
+                entry["offset"] = -float(value)
+            elif column.term == "inertia":
+                entry["rotor_inertia"] = float(value)
+            else:
+                entry[column.term] = float(value)
+            if column.smoothing:
+                entry["smoothing"] = float(column.smoothing)
+            if column.stribeck:
+                entry["stribeck_velocity"] = float(column.stribeck)
+        if len(entry) > 2:
+            entry |= {"also": dict(others)} if others else {}
+            entries.append(entry)
+    return entries
+
+
+def identified_scene(
+    scene: Scene, inertias: Mapping[str, Any], friction: Sequence[Mapping[str, Any]]
+) -> Scene:
+    """The scene with other inertias and friction."""
+    found = scene.with_inertias(inertias)
+    if not friction:
+        return found
+    forces = [*(scene.entries.get("forces") or []), *(dict(entry) for entry in friction)]
+    return found.with_(forces=forces)
+
+
+def description_of(scene: Scene) -> str:
+    """URDF of the only robot of a scene, its inertias written into it.
+
+    Raises:
+        SceneError: There are several robots or bodies.
+    """
+    recipes = scene.robot.recipes
+    if len(recipes) != 1 or recipes[0].name or recipes[0].shape:
+        raise SceneError(f"{scene.name}: files are written of scenes with one robot; use Python")
+    tree = ElementTree.fromstring(recipes[0].text)
+    place_inertias(tree, recipes[0].inertias or {}, recipes[0].source)
+    return ElementTree.tostring(tree, encoding="unicode")
+
+
+def scene_text(scene: Scene, urdf: str) -> str:
+    """YAML of a scene whose robot is a file of that name."""
+    given = scene.entries.get("robot") or {}
+    kept = {k: v for k, v in given.items() if k not in ("urdf", "osim", "mjcf")}
+    entries = {"robot": {"urdf": urdf, **kept}}
+    entries |= {key: entry for key, entry in scene.entries.items() if key != "robot"}
+    return yaml.safe_dump(entries, sort_keys=False, default_flow_style=None, width=_WIDTH)
+
+
+def write_files(folder: Path, files: Mapping[str, bytes], say: Say) -> None:
+    """Write files of a folder; all, or none.
+
+    Raises:
+        DataError: The folder or a file cannot be written.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be made ({error.strerror})") from error
+    with ExitStack() as stack:  # each takes its place when all are written
+        for name, content in files.items():
+            stack.enter_context(replacing(folder / name)).write(content)
+    say(f"{folder}: {', '.join(files)}")
+
+
+# ---- outcome ----------------------------------------------------------------------------------
+# What an identification found: tables, lines and the scene.
+
 
 # Test of an identification on what was not learned from, in the band and as measured.
 
@@ -61,7 +174,7 @@ def tested(scene: Scene, new: Scene, problem: Problem, found: Learned) -> Tested
         problem: The rows.
         found: Least squares.
     """
-    names, delay = Column("joint", np.array(list(problem.labels))), found.delay
+    names, delay = TableColumn("joint", np.array(list(problem.labels))), found.delay
     none = np.zeros(len(problem.rows))
     low = [_in_band(scene, new, problem, piece, delay) for piece in problem.tested()]
     kept = [one for one in low if one is not None]
@@ -86,15 +199,15 @@ def _pictured(found: Measured) -> tuple[Array, Array, Array, Array]:
 
 def _compared(
     y: Array, predictions: list[Array], way: str
-) -> tuple[dict[str, float], list[Column]]:
+) -> tuple[dict[str, float], list[TableColumn]]:
     """Shares of all, and of each joint, that the new and the given scene leave."""
     errors, columns = {}, []
     size = np.maximum(np.sqrt(np.mean(np.square(y), axis=0)), _LEAST)
     for who, prediction in zip(("identified", "given"), predictions, strict=True):
         key, off = f"{who}{way}", np.sqrt(np.mean(np.square(prediction - y), axis=0))
         errors[key] = float(np.linalg.norm(prediction - y) / max(np.linalg.norm(y), _LEAST))
-        columns.append(Column(f"{key.replace(' ', '_')}.rms", off, "N·m or N"))
-        columns.append(Column(f"{key.replace(' ', '_')}.share", 100.0 * off / size, "%"))
+        columns.append(TableColumn(f"{key.replace(' ', '_')}.rms", off, "N·m or N"))
+        columns.append(TableColumn(f"{key.replace(' ', '_')}.share", 100.0 * off / size, "%"))
     return errors, columns
 
 
@@ -228,13 +341,13 @@ def _base_table(problem: Problem, found: Learned, fitted: Consistent) -> Table:
     is_shown = sigma < _SHOWN * prior_deviation(base.matrix, problem.given)
     return Table(
         [
-            Column("name", np.array([parameter_name(int(i), names) for i in base.chosen])),
-            Column("expression", np.array(problem.texts)),
-            Column("given", base.values(problem.given.ravel())),
-            Column("estimate", found.fit.base),
-            Column("deviation", sigma),
-            Column("is_shown", is_shown.astype(np.float64)),
-            Column("consistent", base.values(fitted.inertial.ravel())),
+            TableColumn("name", np.array([parameter_name(int(i), names) for i in base.chosen])),
+            TableColumn("expression", np.array(problem.texts)),
+            TableColumn("given", base.values(problem.given.ravel())),
+            TableColumn("estimate", found.fit.base),
+            TableColumn("deviation", sigma),
+            TableColumn("is_shown", is_shown.astype(np.float64)),
+            TableColumn("consistent", base.values(fitted.inertial.ravel())),
         ]
     )
 
@@ -244,30 +357,30 @@ def _bodies_table(problem: Problem, fitted: Consistent) -> Table:
     found = [pin.Inertia.FromDynamicParameters(p) for p in fitted.inertial]
     given = [problem.scene.robot.model.inertias[body.joint] for body in problem.bodies]
     columns = [
-        Column("body", np.array([body.name for body in problem.bodies])),
-        Column("links", np.array([" ".join(body.links) for body in problem.bodies])),
-        Column("mass", np.array([one.mass for one in found]), "kg"),
-        Column("mass_given", np.array([one.mass for one in given]), "kg"),
+        TableColumn("body", np.array([body.name for body in problem.bodies])),
+        TableColumn("links", np.array([" ".join(body.links) for body in problem.bodies])),
+        TableColumn("mass", np.array([one.mass for one in found]), "kg"),
+        TableColumn("mass_given", np.array([one.mass for one in given]), "kg"),
     ]
     for k, axis in enumerate("xyz"):
-        columns.append(Column(f"c{axis}", np.array([one.lever[k] for one in found]), "m"))
+        columns.append(TableColumn(f"c{axis}", np.array([one.lever[k] for one in found]), "m"))
     for i in range(3):
         for j in range(i, 3):
             values = np.array([one.inertia[i, j] for one in found])
-            columns.append(Column(f"I{'xyz'[i]}{'xyz'[j]}", values, "kg·m^2"))
-    columns.append(Column("deviation", fitted.deviation))
+            columns.append(TableColumn(f"I{'xyz'[i]}{'xyz'[j]}", values, "kg·m^2"))
+    columns.append(TableColumn("deviation", fitted.deviation))
     return Table(columns)
 
 
 def _drives_table(problem: Problem, feedback: tuple[Array, Array]) -> Table:
     """A joint a row: torque for a unit of effort, what the drive answers to noise."""
     unit = "N·m·s/rad or N·s/m"
-    columns = [Column("joint", np.array(list(problem.labels), dtype=np.str_))]
+    columns = [TableColumn("joint", np.array(list(problem.labels), dtype=np.str_))]
     gains = [problem.gains.get(name, 1.0) for name in problem.labels]
     scatter = problem.gain_deviation if len(problem.gain_deviation) else np.zeros(len(gains))
-    columns += [Column("gain", np.array(gains)), Column("gain_deviation", scatter)]
-    columns.append(Column("feedback", feedback[0], unit))
-    columns.append(Column("feedback_deviation", feedback[1], unit))
+    columns += [TableColumn("gain", np.array(gains)), TableColumn("gain_deviation", scatter)]
+    columns.append(TableColumn("feedback", feedback[0], unit))
+    columns.append(TableColumn("feedback_deviation", feedback[1], unit))
     return Table(columns)
 
 
@@ -276,8 +389,10 @@ def _friction_table(entries: Sequence[dict[str, object]]) -> Table:
     keys = ("viscous", "coulomb", "load", "stribeck", "stribeck_velocity", "offset")
     keys += ("rotor_inertia", "smoothing")
     columns = [
-        Column("joint", np.array([str(entry["joint"]) for entry in entries], dtype=np.str_))
+        TableColumn("joint", np.array([str(entry["joint"]) for entry in entries], dtype=np.str_))
     ]
     for key in keys:
-        columns.append(Column(key, np.array([float(entry.get(key, 0.0)) for entry in entries])))  # type: ignore[arg-type]
+        columns.append(
+            TableColumn(key, np.array([float(entry.get(key, 0.0)) for entry in entries]))
+        )  # type: ignore[arg-type]
     return Table(columns)

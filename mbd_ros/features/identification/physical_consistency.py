@@ -10,15 +10,28 @@ Source: P. M. Wensing, S. Kim, J.-J. E. Slotine, IEEE Robot. Autom. Lett. 3, 201
 T. Lee, P. M. Wensing, F. C. Park, IEEE Trans. Robot. 36, 2020, 168 (the distance).
 """
 
-from typing import NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
-from mbd_ros.core.model.inertial_parameters import COUNT, pseudo_inertia
+from mbd_ros.core.model.inertial_parameters import (
+    COUNT,
+    Body,
+    inertia_of,
+    is_consistent,
+    pseudo_inertia,
+)
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, SolveError, install_hint
+
+# ---- physical consistency ---------------------------------------------------------------------
+# Inertial numbers that bodies can have, near those given and as the data ask.
+
 
 _LEAST = 1.0e-3  # of the given pseudo-inertia: what is left of a body
 _LIGHT = 1.0e-2  # of the usual body: what one without mass counts as beside others
@@ -226,3 +239,59 @@ def _matrix(s: Array) -> Array:
     for value, (i, j) in zip(s, _UPPER, strict=True):
         S[i, j] = S[j, i] = value / (1.0 if i == j else np.sqrt(2.0))
     return S
+
+
+# ---- bodies -----------------------------------------------------------------------------------
+# Inertial numbers of bodies as inertias of links.
+
+
+def inertias_of_links(
+    robot: Robot, bodies: Sequence[Body], inertial: Array
+) -> tuple[dict[str, Any], list[str]]:
+    """Inertias of the links that make bodies with given numbers.
+
+    The heaviest link of a body takes the change; where no body of its own would be left of it,
+    it takes all and those that are fixed to it lose theirs.
+
+    Args:
+        robot: The robot.
+        bodies: Its bodies.
+        inertial: Their numbers, shape (bodies, 10).
+
+    Returns:
+        Link -> inertia in the axes of the link, and remarks.
+    """
+    given, found, said = robot.inertias(), dict[str, Any](), list[str]()
+    for body, numbers in zip(bodies, inertial, strict=True):
+        places = {name: _placement(robot, name) for name in body.links}
+        others = [n for n in body.links[1:] if n in given and given[n].mass > 0.0]
+        left = numbers.copy()
+        for name in others:
+            left = left - places[name].act(given[name]).toDynamicParameters()
+        if others and not is_consistent(left):
+            left = numbers
+            found |= {name: pin.Inertia.Zero() for name in others}
+            said.append(f"{body.name} takes the inertia of {', '.join(others)}, fixed to it")
+        found[body.name] = places[body.name].actInv(inertia_of(left))
+    return found, said
+
+
+def known_numbers(bodies: Sequence[Body], given: Array, known: Sequence[str]) -> Array:
+    """Inertial numbers of bodies with links that are known, 0 of others, shape (10 bodies,).
+
+    Raises:
+        DataError: No such link.
+    """
+    found, links = np.zeros_like(given), [set(body.links) for body in bodies]
+    for name in known:
+        at = [i for i, own in enumerate(links) if name in own]
+        if not at:
+            names = ", ".join(body.name for body in bodies)
+            raise DataError(f"--known {name}: no link that moves; there are {names}")
+        found[at[0]] = given[at[0]]
+    return found.ravel()
+
+
+def _placement(robot: Robot, link: str) -> Any:
+    """Pose of a link in the axes of its joint."""
+    return robot.model.frames[robot.frame(link)].placement

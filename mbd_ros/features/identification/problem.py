@@ -3,12 +3,13 @@
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import zip_longest
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
+from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.model.inertial_parameters import (
     COUNT,
     inertia_of,
@@ -18,26 +19,238 @@ from mbd_ros.core.model.inertial_parameters import (
 )
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.identification.band import Filter, band_of, grid_step
-from mbd_ros.features.identification.base_parameters import base_parameters, expressions
-from mbd_ros.features.identification.bodies import known_numbers
-from mbd_ros.features.identification.friction import OF_SEVERAL, TERMS, Column, candidates
-from mbd_ros.features.identification.loop_regressor import LoopRegressor
-from mbd_ros.features.identification.motors import Motors
-from mbd_ros.features.identification.regressor import Regressor, random_states
-from mbd_ros.features.identification.rows import Block, RowMaker
+from mbd_ros.features.identification.base_parameters import (
+    BaseParameters,
+    base_parameters,
+    expressions,
+)
+from mbd_ros.features.identification.physical_consistency import known_numbers
+from mbd_ros.features.identification.regressor import (
+    OF_SEVERAL,
+    TERMS,
+    Column,
+    LoopRegressor,
+    Regressor,
+    candidates,
+    columns_of,
+    random_states,
+)
 from mbd_ros.features.identification.samples import (
+    Filter,
     Piece,
     Recorded,
     asked_cutoffs,
+    band_of,
     check_efforts,
+    grid_step,
     pieces,
     read,
     split,
 )
 from mbd_ros.features.identification.task import Task
-from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Say
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.scene.built_scene import Scene
+
+# ---- motors -----------------------------------------------------------------------------------
+# Motors that turn with several joints, as those of a wrist behind bevel gears.
+#
+#     w = U v,    tau = U' tau_m
+#
+# with v and tau of joints, w and tau_m of motors, reduced to the joints that bear their names: U
+# has
+# ones on its diagonal. Friction is a function of w, so that rows of motors, U^-T times those of
+# the
+# joints, have a friction of their own each.
+#
+# Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, section 9.7
+# (coupled transmissions).
+
+
+class Motors(NamedTuple):
+    """Motors of the rows of an identification.
+
+    Attributes:
+        ratios: U, shape (m, m).
+        are_measured: Whether efforts are those of motors, not of joints.
+    """
+
+    ratios: Array
+    are_measured: bool = False
+
+    @classmethod
+    def of_joints(cls, count: int) -> "Motors":
+        """One motor a joint."""
+        return cls(np.eye(count))
+
+    @property
+    def are_coupled(self) -> bool:
+        """Whether any turns with several joints."""
+        return bool(np.any(self.ratios != np.eye(len(self.ratios))))
+
+    @property
+    def others(self) -> list[dict[int, float]]:
+        """Of each motor the other joints that turn it, and their ratios."""
+        m = len(self.ratios)
+        return [
+            {j: float(row[j]) for j in range(m) if j != i and row[j] != 0.0}
+            for i, row in enumerate(self.ratios)
+        ]
+
+    @property
+    def alone(self) -> Array:
+        """Motors of one joint that turns no other motor, shape (m,) of truth."""
+        apart = self.ratios != np.eye(len(self.ratios))
+        return np.asarray(~(apart.any(axis=0) | apart.any(axis=1)))
+
+    def speeds(self, v: Array) -> Array:
+        """Of motors, of those of joints, shape (.., m)."""
+        return v @ self.ratios.T
+
+    def torques(self, tau: Array) -> Array:
+        """Of motors, of those of joints, shape (.., m)."""
+        return tau @ np.linalg.inv(self.ratios)
+
+    def measured(self, tau: Array) -> Array:
+        """What is measured of torques of joints, shape (.., m)."""
+        return self.torques(tau) if self.are_measured else tau
+
+    def from_measured(self, effort: Array) -> Array:
+        """Torques of motors of what is measured, shape (.., m)."""
+        return effort if self.are_measured else self.torques(effort)
+
+    def as_measured(self, torque: Array) -> Array:
+        """Inverse of `from_measured`."""
+        return torque if self.are_measured else torque @ self.ratios
+
+
+# ---- rows -------------------------------------------------------------------------------------
+# Filtered rows of recordings: base parameters, candidates of friction, torques.
+
+
+_STILL = 0.01  # of the largest velocity of a joint: below, it rests
+_MOVING = 0.5  # of a window of the filter, the least that is kept
+_CHUNK = 4000  # samples of the grid that are asked for at once
+
+
+class Block(NamedTuple):
+    """Filtered rows that follow each other.
+
+    Attributes:
+        X: Columns of the base parameters, shape (n, m, r).
+        F: Candidates of friction of each row, shape (n, k) each.
+        Y: Torques with a delay each, shape (n, m, delays).
+        kept: Which of the n x m rows count, shape (n, m).
+        known: What is known of the torques and taken out of them, shape (n, m).
+    """
+
+    X: Array
+    F: list[Array]
+    Y: Array
+    kept: NDArray[np.bool_]
+    known: Array
+
+
+class RowMaker:
+    """Makes rows of pieces.
+
+    Args:
+        regressor: Of the scene.
+        base: Its base parameters.
+        rows: Rows of the regressor that are used, shape (m,).
+        columns: Candidates of friction of each of them; none of a row without a joint.
+        joints: Place of each of these rows among the independent joints, -1 of no effort.
+        peak: Largest speed of the motor of each, shape (m,).
+        motors: Of these rows.
+    """
+
+    def __init__(
+        self,
+        regressor: Regressor | LoopRegressor,
+        base: BaseParameters,
+        rows: NDArray[np.intp],
+        columns: Sequence[tuple[Column, ...]],
+        joints: NDArray[np.intp],
+        peak: Array,
+        motors: Motors,
+    ) -> None:
+        self.regressor, self.base, self.rows = regressor, base, rows
+        self.coordinates = regressor.coordinates[rows]
+        self.columns, self.joints, self.peak = columns, joints, peak
+        self.motors = motors
+        self.carried: Array | None = None  # inertial numbers that are known, of all bodies
+
+    def blocks(self, piece: Piece, band: float | None, delays: Array) -> Iterator[Block]:
+        """Rows of a piece through the filter of its band; without a band all its samples."""
+        rate = 1.0 / float(np.median(np.diff(piece.times)))
+        step = 1 if band is None else grid_step(rate, band)
+        grid = np.arange(0, len(piece.times), step)
+        low = None if band is None else Filter.of(rate / step, band)
+        if low is None:
+            chunks = [grid[i : i + _CHUNK] for i in range(0, len(grid), _CHUNK)]
+        else:
+            chunks = _overlapping(grid, low)
+        for chunk in chunks:
+            X, F, Y, moves, known = self._plain(piece, chunk, delays)
+            if low is None:
+                yield Block(X, F, Y, moves, known)
+                continue
+            passed = low.passed(moves.astype(np.float64))
+            X, F, Y = low.passed(X), [low.passed(f) for f in F], low.passed(Y)
+            yield Block(X, F, Y, passed >= _MOVING, low.passed(known))
+
+    def _plain(
+        self, piece: Piece, at: NDArray[np.intp], delays: Array
+    ) -> tuple[Array, list[Array], Array, NDArray[np.bool_], Array]:
+        """Rows of samples before the filter, and which joints move."""
+        y, v, a = piece.y[at], piece.v[at], piece.a[at]
+        W = self.regressor.rows(y, v, a)
+        known = self.regressor.known(W, y, v, a, [load[at] for load in piece.loads])[:, self.rows]
+        for carried in (self.carried, piece.carried):
+            if carried is not None:
+                known = known + W[:, self.rows] @ carried
+        X = np.ascontiguousarray(W[:, self.rows][:, :, self.base.chosen])
+        effort = np.zeros((len(at), len(self.rows), len(delays)))
+        for i, joint in enumerate(self.joints):
+            if joint >= 0:
+                for k, delay in enumerate(delays):
+                    late = piece.times[at] + delay
+                    effort[:, i, k] = np.interp(late, piece.times, piece.effort[:, joint])
+        weight = self.regressor.weight(y)[:, self.rows]
+        v, a = v[:, self.coordinates], a[:, self.coordinates]
+        if self.motors.are_coupled:
+            X, known, weight, effort, v, a = self._of_motors(X, known, weight, effort, v, a)
+        each = zip(self.columns, v.T, a.T, weight.T, strict=True)
+        F = [columns_of(own, rate, push, load) for own, rate, push, load in each]
+        moves = np.abs(v) > _STILL * self.peak
+        moves[:, self.peak == 0.0] = True
+        moves[:, self.joints < 0] = True
+        Y = effort - known[:, :, None]
+        return X, F, Y, moves, known
+
+    def _of_motors(
+        self, X: Array, known: Array, weight: Array, effort: Array, v: Array, a: Array
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """All of them for motors in place of joints."""
+        motors = self.motors
+        turned = np.swapaxes(motors.torques(np.swapaxes(X, 1, 2)), 1, 2)
+        told = np.swapaxes(motors.from_measured(np.swapaxes(effort, 1, 2)), 1, 2)
+        known, weight = motors.torques(known), motors.torques(weight)
+        return turned, known, weight, told, motors.speeds(v), motors.speeds(a)
+
+
+def _overlapping(grid: NDArray[np.intp], low: Filter) -> Iterator[NDArray[np.intp]]:
+    """Chunks of a grid whose windows together are those of all of it."""
+    starts = low.starts(len(grid))
+    count = max(_CHUNK // low.step, 1)
+    for first in range(0, len(starts), count):
+        some = starts[first : first + count]
+        yield grid[some[0] : some[-1] + len(low.taps)]
+
+
+# ---- problem ----------------------------------------------------------------------------------
+# The rows of an identification: which there are, and what is known of them.
+
 
 # Joints that no motor drives.
 

@@ -7,11 +7,19 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
-from mbd_ros.features.identification.factors import Triangle
-from mbd_ros.features.identification.friction import Column
-from mbd_ros.features.identification.least_squares import Fit, Joint, fit, select, usual_choice
-from mbd_ros.features.identification.noise import Noise, Spread, noise_of
-from mbd_ros.features.identification.rows import Block
+from mbd_ros.features.identification.least_squares import (
+    Fit,
+    Joint,
+    Noise,
+    Spread,
+    Triangle,
+    fit,
+    noise_of,
+    select,
+    usual_choice,
+)
+from mbd_ros.features.identification.problem import Block
+from mbd_ros.features.identification.regressor import Column
 
 Blocks = Callable[[Array], Iterable[Block]]  # of delays
 _ROUNDS = 3

@@ -1,4 +1,4 @@
-"""Forces as a matrix times the inertial numbers, for coupled joints and for loops.
+"""Forces as a matrix times numbers: inertias, friction; for couplings and loops.
 
     G' (rnea - loads) = G' W(q, v, a) p + known,    N' W p + known = N' B u
 
@@ -6,18 +6,25 @@ with W of Pinocchio, G the Jacobian of the couplings, N the motions that loops l
 of some of the actuated joints, and `known` what springs, rotors and measured wrenches exert.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
+from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.inertial_parameters import parameters_of
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.state import Array
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import SINGULAR
+from mbd_ros.errors import ModelError
+from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
+
+# ---- regressor --------------------------------------------------------------------------------
+# Forces as a matrix times the inertial numbers, for coupled joints and for loops.
 
 
 class Regressor:
@@ -128,3 +135,225 @@ def limits_of(robot: Robot, name: str) -> tuple[float, float]:
     usual = 0.5 if joint.kind == "prismatic" else np.pi
     low, high = max(joint.lower, -2.0 * usual), min(joint.upper, 2.0 * usual)
     return (low, high) if low < high else (-usual, usual)
+
+
+# ---- loop regressor ---------------------------------------------------------------------------
+# Rows of a mechanism with loops: one for each motion that its loops leave.
+#
+# N = [E; -J_2^-1 J_1] has a column for each of some actuated joints, chosen once: J N = 0 takes
+# the
+# multipliers out, N' (M a + h - loads) = N' B u. Efforts of other joints act along N, too.
+#
+# Source: J. Garcia de Jalon, E. Bayo, Kinematic and Dynamic Simulation of Multibody Systems, 1994,
+# section 5.2 (independent coordinates by the matrix R).
+
+
+class LoopRegressor:
+    """Rows of a mechanism, see `Regressor`.
+
+    Args:
+        robot: The robot.
+        solver: Inverse dynamics of the scene, whose forces and wrenches are the known ones.
+        start: State near the constraints.
+        driven: Joints whose efforts are measured.
+
+    Attributes:
+        labels: Actuated joints by which the mechanism moves, and coordinates of free bases.
+        coordinates: Their places among the independent velocities.
+        size: Inertial numbers of all bodies.
+        base: Rows that no joint drives.
+
+    Raises:
+        ModelError: The driven joints do not determine the motion.
+    """
+
+    def __init__(
+        self, robot: Robot, solver: ObservedLoops, start: State, driven: Sequence[str]
+    ) -> None:
+        self._solver, self._inverse = solver, solver.inverse
+        self._model, self._data = robot.model, pin.Data(robot.model)
+        self._carried, self._given = self._model, parameters_of(robot.model).ravel()
+        self.size = len(self._given)
+        names = {joint.v: joint.name for joint in robot.joints} | robot.base_titles
+        first = [*robot.base_v.tolist(), *(robot.joint(name).v for name in driven)]
+        q = self._inverse.motion.start(start)
+        J = self._inverse.motion.jacobian(start.t, q)
+        self._first = _leading(J, first)
+        self._others = np.setdiff1d(np.arange(self._model.nv), self._first)
+        self.labels = tuple(names[int(v)] for v in self._first)
+        self.coordinates = np.searchsorted(solver.couplings.v_index, self._first)
+        self.base = np.flatnonzero(np.isin(self._first, robot.base_v))
+
+    def motions(self, q: Array) -> Array:
+        """N at a configuration on the constraints, shape (nv, len(labels))."""
+        J = self._inverse.motion.jacobian(0.0, q)
+        N = np.zeros((self._model.nv, len(self._first)))
+        N[self._first, np.arange(len(self._first))] = 1.0
+        N[self._others] = -np.linalg.lstsq(J[:, self._others], J[:, self._first], rcond=SINGULAR)[
+            0
+        ]
+        return N
+
+    def consistent(self, y: Array, v: Array, a: Array) -> tuple[State, Array]:
+        """State and acceleration of all joints that the loops allow, near a sample."""
+        return self._inverse.consistent(*self._solver.measured(0.0, y, v, a))
+
+    def rows(self, y: Array, v: Array, a: Array) -> Array:
+        """N' W at samples, shape (n, len(labels), `size`)."""
+        found = np.empty((len(y), len(self.labels), self.size))
+        for row, *sample in zip(found, y, v, a, strict=True):
+            x, push = self.consistent(*sample)
+            W = pin.computeJointTorqueRegressor(self._model, self._data, x.q, x.v, push)
+            row[...] = self.motions(x.q).T @ W
+        return found
+
+    def known(self, rows: Array, y: Array, v: Array, a: Array, loads: Sequence[Array]) -> Array:
+        """What acts besides the inertias, shape (n, len(labels))."""
+        found = np.empty((len(y), len(self.labels)))
+        for i, sample in enumerate(zip(y, v, a, strict=True)):
+            x, push = self.consistent(*sample)
+            terms = self._inverse.demand(x, push, [load[i] for load in loads])
+            found[i] = self.motions(x.q).T @ terms
+        known: Array = found - rows @ self._given
+        return known
+
+    def carry(self, model: Any) -> None:
+        """From now on `weight` is that of a model with other inertias."""
+        self._carried = model
+
+    def weight(self, y: Array) -> Array:
+        """Torques that hold joints still, shape (n, len(labels))."""
+        zero, found = np.zeros((len(y), self._model.nv)), np.empty((len(y), len(self.labels)))
+        for row, sample in zip(found, y, strict=True):
+            still = zero[0][: self._width(sample)]
+            x, _ = self._solver.measured(0.0, sample, still, still)
+            row[...] = pin.computeGeneralizedGravity(self._carried, self._data, x.q)[self._first]
+        return found
+
+    def _width(self, sample: Array) -> int:
+        return len(sample) - (int(self._model.nq) - int(self._model.nv))
+
+
+def _leading(J: Array, wanted: Sequence[int]) -> NDArray[np.intp]:
+    """Coordinates that determine all others, of those that are wanted.
+
+    Raises:
+        ModelError: They do not, or there are more of them than the mechanism has motions.
+    """
+    nv, size = J.shape[1], SINGULAR * float(np.linalg.norm(J, 2))
+
+    def rank(columns: Sequence[int]) -> int:
+        return int(np.linalg.matrix_rank(J[:, columns], tol=size)) if len(columns) else 0
+
+    freedom, chosen = nv - rank(range(nv)), list[int]()
+    for v in wanted:
+        held = [i for i in range(nv) if i not in {*chosen, v}]
+        if rank(held) == nv - freedom:
+            chosen.append(v)
+    if len(chosen) < freedom or len(wanted) > freedom:
+        raise ModelError(
+            f"the mechanism has {freedom} motions and {len(wanted)} joints with measured efforts: "
+            "identification needs as many as there are motions, none of them idle"
+        )
+    return np.array(sorted(chosen), dtype=np.intp)
+
+
+# ---- friction ---------------------------------------------------------------------------------
+# What a joint takes besides the inertias of bodies: friction, offset, rotor inertia.
+#
+#     tau = viscous v + (coulomb + load |g| + stribeck / (1 + (v / v_s)^2)) s + offset + inertia a
+#     s = tanh(v / smoothing)
+#
+# with g the torque that holds the given robot still. It is linear in all but smoothing and v_s, of
+# which a few multiples of the usual velocity of the joint are tried.
+#
+# Source: D. P. Hess, A. Soom, J. Tribology 112, 1990, 147 (this curve of Stribeck); B.
+# Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30, 1994, 1083 (a survey).
+
+
+_SMOOTHINGS = (0.005, 0.02, 0.05, 0.1, 0.2, 0.4)  # of the usual velocity
+_STRIBECKS = (0.1, 0.3, 0.6)  # the same
+TERMS = ("viscous", "coulomb", "offset", "load", "stribeck", "inertia")
+OF_SEVERAL = ("viscous", "coulomb", "offset", "stribeck")  # of a motor that several joints turn
+
+
+class Column(NamedTuple):
+    """One column of a joint.
+
+    Attributes:
+        term: Of `TERMS`.
+        smoothing: Velocity of it [rad/s or m/s]; 0 where the term has none.
+        stribeck: v_s [rad/s or m/s]; 0 where the term has none.
+    """
+
+    term: str
+    smoothing: float = 0.0
+    stribeck: float = 0.0
+
+
+def candidates(usual: float) -> tuple[Column, ...]:
+    """All columns that are tried of a joint.
+
+    Args:
+        usual: Root mean square of its velocity [rad/s or m/s].
+    """
+    smooth = [factor * usual for factor in _SMOOTHINGS]
+    curves = [(s, factor * usual) for s in smooth[:3] for factor in _STRIBECKS]
+    return (
+        *(Column(term) for term in ("viscous", "offset", "inertia")),
+        *(Column("coulomb", s) for s in smooth),
+        *(Column("load", s) for s in smooth),
+        *(Column("stribeck", s, v) for s, v in curves),
+    )
+
+
+def columns_of(chosen: Sequence[Column], v: Array, a: Array, weight: Array) -> Array:
+    """Values of columns, shape (n, len(chosen)).
+
+    Args:
+        chosen: The columns.
+        v: Velocities of the joint [rad/s or m/s], shape (n,).
+        a: Its accelerations, shape (n,).
+        weight: Torques that hold it still, shape (n,).
+    """
+    found = np.empty((len(v), len(chosen)))
+    for k, (term, smoothing, stribeck) in enumerate(chosen):
+        plain = {"viscous": v, "inertia": a, "offset": np.ones_like(v)}
+        if term in plain:
+            found[:, k] = plain[term]
+            continue
+        side = np.tanh(v / smoothing)
+        if term == "load":
+            side *= np.abs(weight)
+        if term == "stribeck":
+            side /= 1.0 + np.square(v / stribeck)
+        found[:, k] = side
+    return found
+
+
+def choices(columns: Sequence[Column], allowed: Iterable[str]) -> list[tuple[int, ...]]:
+    """Sets of columns that make sense together, by place; the empty one first.
+
+    Args:
+        columns: Those of `candidates`.
+        allowed: Of `TERMS`.
+    """
+    terms = set(allowed)
+    at: dict[str, list[int]] = {term: [] for term in TERMS}
+    for i, column in enumerate(columns):
+        if column.term in terms:
+            at[column.term].append(i)
+    dry: list[tuple[int, ...]] = [()]
+    for c in at["coulomb"]:
+        same = columns[c].smoothing
+        loads = [i for i in at["load"] if columns[i].smoothing == same]
+        curves = [i for i in at["stribeck"] if columns[i].smoothing == same]
+        dry += [(c,), *((c, i) for i in loads), *((c, i) for i in curves)]
+    dry += [(i,) for i in at["load"]]
+    found = []
+    for some in dry:
+        for viscous in ((), *((i,) for i in at["viscous"])):
+            for offset in ((), *((i,) for i in at["offset"])):
+                plain = (*some, *viscous, *offset)
+                found += [plain, *((*plain, i) for i in at["inertia"])]
+    return found

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.features.identification.friction import TERMS
+from mbd_ros.features.identification.regressor import TERMS
 from mbd_ros.files.table import Table
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene

@@ -5,13 +5,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError
-from mbd_ros.features.inverse_dynamics.job import inverse_to, stance_of
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.several_motions import Outcome, do_motions, externals_of, orders_of, outcome_of
+from mbd_ros.features.inverse_dynamics.job import inverse_to
+from mbd_ros.jobs.progress import Say
+from mbd_ros.jobs.result_files import Outcome, do_motions, externals_of, orders_of, outcome_of
 from mbd_ros.jobs.workers.task import Task as WorkerTask
 from mbd_ros.motion.derivatives import Derivatives
+from mbd_ros.motion.external_loads import refuse_unused
 from mbd_ros.motion.samples import Task
-from mbd_ros.motion.wrenches import refuse_unused
+from mbd_ros.motion.unmeasured_contacts import stance_of
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.code_permission import is_permitted
 

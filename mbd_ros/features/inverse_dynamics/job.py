@@ -1,45 +1,146 @@
 """Inverse dynamics of a recorded motion: `mbd-ros inverse`."""
 
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mbd_ros.features.inverse_dynamics.outcome import about_result, check_finite
+from mbd_ros.core.contracts import Actuator
+from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.kinematics.poses import configuration_of
+from mbd_ros.core.loads.inputs import command_names
+from mbd_ros.core.loads.loads import Loads
+from mbd_ros.core.state import NANOSECOND, Array, Motion, State
+from mbd_ros.errors import DataError
+from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Result, Table
-from mbd_ros.files.times import time_columns
-from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, watching
-from mbd_ros.motion import closed_chains as loops
-from mbd_ros.motion import open_chains
+from mbd_ros.files.table import MAIN, TIME, Column, Result, Table, stamps_of, time_columns
+from mbd_ros.jobs.arguments import about
+from mbd_ros.jobs.progress import Say, Watch, watching
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import TorqueComponents
+from mbd_ros.motion import inverse_solution as loops
+from mbd_ros.motion import inverse_solution as open_chains
+from mbd_ros.motion.columns import command_columns
 from mbd_ros.motion.derivatives import Derivatives
-from mbd_ros.motion.explained_motion import power_columns
-from mbd_ros.motion.inverse_solution import solve_motion
-from mbd_ros.motion.open_chains import Violations
+from mbd_ros.motion.filters import Rows, low_passed
+from mbd_ros.motion.inverse_solution import Violations, power_columns, solve_motion
+from mbd_ros.motion.long_stamps import Windows
 from mbd_ros.motion.recordings import Source, name_of
+from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.samples import Task
-from mbd_ros.motion.stance_option import stance_of
+from mbd_ros.motion.unmeasured_contacts import stance_of
 from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
     pass
 
-from collections.abc import Sequence
 
-from mbd_ros.core.contracts.parts import Actuator
-from mbd_ros.core.kinematics.free_bases import configuration_of
-from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.loads.inputs import command_names
-from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.state import NANOSECOND, Array, State
-from mbd_ros.errors import DataError
-from mbd_ros.files.body_columns import POSE, TWIST, names_of
-from mbd_ros.files.table import Column
-from mbd_ros.files.times import TIME, stamps_of
-from mbd_ros.motion.columns import command_columns
+# ---- unexplained ------------------------------------------------------------------------------
+# How far torques are off the measured ones, both behind the low-pass of the motion.
+
+
+def unexplained(motion: Motion, table: Table, cutoff: Array) -> Iterator[str]:
+    """A line, where the motion has measured efforts.
+
+    Args:
+        motion: With the measured efforts; joints without are left out.
+        table: With the torques.
+        cutoff: Of the low-pass of each of the first joints of the motion [Hz].
+    """
+    effort = motion.effort
+    if effort is None or table.rows != len(motion.stamps):
+        return
+    pairs = driven(motion.names[: len(cutoff)], list(table), np.isfinite(effort).all(axis=0))
+    if not pairs:
+        return
+    tau = [*(effort[:, j] for j, _ in pairs), *(table[name] for _, name in pairs)]
+    windows, own = Windows(motion.stamps, cutoff), cutoff[[j for j, _ in pairs]]
+    yield from off_the_effort(windows, np.column_stack(tau), own)
+
+
+def driven(
+    joints: Sequence[str], columns: Sequence[str], measured: NDArray[np.bool_]
+) -> list[tuple[int, str]]:
+    """Joints whose effort is measured, by their place, and the columns of their torque."""
+    ours = [name for name in columns if name.endswith(".effort")]
+    pairs = [(name.removesuffix(".effort"), name) for name in ours]
+    found = [(joints.index(joint), name) for joint, name in pairs if joint in joints]
+    return [(j, name) for j, name in found if measured[j]]
+
+
+def off_the_effort(windows: Windows, tau: Rows, cutoff: Array) -> Iterator[str]:
+    """A line, where measured efforts are not 0.
+
+    Args:
+        windows: Of all stamps and the cut-offs.
+        tau: Measured efforts, then torques, of the same m joints, shape (n, 2 m).
+        cutoff: Of the low-pass of each joint [Hz], shape (m,).
+    """
+    total, off = 0.0, 0.0
+    for passed, step in low_passed(windows, tau, np.tile(cutoff, 2)):
+        known, found = np.split(passed, 2, axis=1)
+        unit = max(np.abs(known).max(initial=0.0), np.abs(found).max(initial=0.0))
+        if not np.isfinite(unit):
+            return
+        if unit > 0.0:  # squares may overflow
+            known, found, weight = known / unit, found / unit, unit * math.sqrt(step)
+            total = math.hypot(total, weight * math.sqrt(np.square(known).sum()))
+            off = math.hypot(off, weight * math.sqrt(np.square(found - known).sum()))
+    if total > 0.0 and math.isfinite(off):
+        yield (
+            f"off the measured effort by {100.0 * off / total:.3g} % (norm of differences over "
+            "norm of efforts, all behind the same low-pass)"
+        )
+
+
+# ---- outcome ----------------------------------------------------------------------------------
+# What every result of inverse dynamics says of itself, and what it must be.
+
+
+def about_result(scene: Scene, task: Task, topics: Mapping[str, object]) -> dict[str, Any]:
+    """Metadata of the result, `topics` those of the way it was found."""
+    about_it = metadata_of("inverse", scene, _inputs(task), _topics(topics, task))
+    return {**about_it, "stamps": "recorded"}
+
+
+def _inputs(task: Task) -> dict[str, object]:
+    """What the metadata of the result says."""
+    source, cutoff, half_width = task.derivatives
+    asked = {"motion": task.motion, "wrenches": task.wrenches, "derivatives": source}
+    between = task.time_range and list(task.time_range)
+    filters = {
+        "time_range": between,
+        "external": task.external,
+        "cutoff": cutoff,
+        "half_width": half_width,
+    }
+    also = {name: getattr(task, name) for name in ("parts", "bounds", "power", "wrench_axes")}
+    stance = None if task.stance is None else task.stance.method
+    return {**asked, **filters, **also, "stance": stance}
+
+
+def _topics(topics: Mapping[str, object], task: Task) -> dict[str, object]:
+    """Topics of a bag, see `files.bags.bag_writer`."""
+    causes = TorqueComponents._fields if task.parts else ()
+    return {**topics, **{f"/joint_torques/{cause}": {"effort": cause} for cause in causes}}
+
+
+def check_finite(where: str, table: Table) -> None:
+    """Refuse efforts and multipliers that are not."""
+    kinds = ("position", "velocity", "acceleration", TIME, "stamp")
+    found = [v for name, v in table.items() if name.rpartition(".")[2] not in kinds]
+    bad = [int(np.flatnonzero(~np.isfinite(v))[0]) for v in found if not np.isfinite(v).all()]
+    if bad:
+        raise DataError(f"{where}: torques at {table[TIME][min(bad)]} s are not finite")
+
+
+# ---- job --------------------------------------------------------------------------------------
+# Inverse dynamics of a recorded motion: `mbd-ros inverse`.
+
 
 # Efforts of joints to commands: `.effort` is joint torque, `.command` what an actuator takes.
 
@@ -248,11 +349,9 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     for text in (*violations.lines(), *remarks, *beyond):
         say(text)
     if observed.cutoff is not None:
-        from mbd_ros.features.inverse_dynamics.unexplained import unexplained  # loads scipy
-
         for text in unexplained(observed.motion, table, observed.cutoff):
             say(text)
     done = task._replace(derivatives=observed.derivatives)
     contacts = () if ground is None else ground.contacts
-    topics = loops.topics(scene, contacts) if solved.has_loops else open_chains.topics(scene)
+    topics = loops.loop_topics(scene, contacts) if solved.has_loops else open_chains.topics(scene)
     return Result({MAIN: table}, about_result(scene, done, topics))

@@ -4,24 +4,35 @@ from collections import Counter
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from types import TracebackType
 from typing import Protocol
 
 import numpy as np
 
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observations, TorqueEstimator, Tuning
+from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
-from mbd_ros.features.inverse_dynamics.outcome import about_result, check_finite
-from mbd_ros.files.bags.motion_blocks import MotionBlocks, WholeNeededError
-from mbd_ros.files.table import MAIN, Result, Table
-from mbd_ros.files.times import time_columns
-from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import watching
-from mbd_ros.motion import open_chains
-from mbd_ros.motion.causal import causal_line, observe
+from mbd_ros.features.inverse_dynamics.job import (
+    about_result,
+    check_finite,
+    driven,
+    off_the_effort,
+)
+from mbd_ros.files.bags.bag_recordings import MotionBlocks, WholeNeededError
+from mbd_ros.files.bags.spool import Spool, StampSpool
+from mbd_ros.files.table import MAIN, Result, Table, time_columns
+from mbd_ros.jobs.arguments import about
+from mbd_ros.jobs.progress import Say, watching
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations, TorqueEstimator, Tuning
+from mbd_ros.motion import inverse_solution as open_chains
+from mbd_ros.motion.cutoff import cutoff_lines
+from mbd_ros.motion.filters import causal_line, chosen_cutoffs, observe, smoothed, stated
+from mbd_ros.motion.long_stamps import Windows
 from mbd_ros.motion.recordings import name_of
 from mbd_ros.motion.samples import Task
 from mbd_ros.scene.built_scene import Scene
+
+# ---- streamed ---------------------------------------------------------------------------------
+# Bag to bag, piece by piece: memory does not grow with the recording.
 
 
 def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int | None:
@@ -54,9 +65,7 @@ def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int |
             if source == "causal":
                 samples = CausalSource(scene, task, motion)
             else:
-                from mbd_ros.features.inverse_dynamics.smoothed import (
-                    SmoothedSource,  # loads scipy
-                )
+                pass
 
                 samples = stack.enter_context(
                     SmoothedSource(scene, task, motion, out.absolute().parent)
@@ -169,3 +178,133 @@ class _Pieces:
         doubts = (f"warning: {text}" for text in self._scene.robot.doubts)
         source = self._source
         return [*doubts, *source.lines(), *self._violations.lines(), *source.last_lines()]
+
+
+# ---- smoothed ---------------------------------------------------------------------------------
+# Samples of a bag without lag, window by window: the motion waits in a file, not in memory.
+
+
+_PIECE = 16_384  # samples that are solved and written at once
+
+
+class SmoothedSource:
+    """Samples of a bag behind the low-pass that sees the future.
+
+    Args:
+        scene: The scene, no joint of which turns without end.
+        task: What is asked for.
+        path: The bag.
+        folder: Where the motion may wait.
+    """
+
+    def __init__(self, scene: Scene, task: Task, path: Path, folder: Path) -> None:
+        self._where, self._task, couplings = name_of(path), task, scene.couplings
+        self._n, names = len(couplings.independent), couplings.independent + couplings.dependent
+        self._names = names
+        self._blocks = MotionBlocks(path, task.topic, names, couplings.independent)
+        self._stack, self._folder = ExitStack(), folder
+        self._measured, self._driven = np.ones((2, self._n), dtype=np.bool_)
+
+    def __enter__(self) -> "SmoothedSource":
+        n, m = self._n, len(self._names)
+        self._stamps = StampSpool(self._spool(1, np.int64))
+        self._moving, self._effort = _Moving(self._spool(n + m), n), self._spool(m)
+        self._tau: Spool | None = None
+        return self
+
+    def _spool(self, width: int, kind: type[np.generic] = np.float64) -> Spool:
+        return self._stack.enter_context(Spool(self._folder, width, kind))
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._stack.close()
+
+    def __iter__(self) -> Iterator[Observations]:
+        for motion in self._blocks:
+            self._keep(motion)
+        cutoff = self._task.derivatives.cutoff
+        with about(self._where), np.errstate(over="ignore", invalid="ignore"):
+            moving = self._moving, self._measured
+            self._cutoff = chosen_cutoffs(self._stamps, *moving, cutoff)
+            self._windows = Windows(self._stamps, self._cutoff)
+            for rows, *smooth in smoothed(self._windows, *moving, self._cutoff):
+                dependent = self._moving.dependent(rows)
+                whole = Observations(self._stamps[rows], *smooth, dependent)
+                for i in range(0, len(whole.stamps), _PIECE):
+                    yield Observations(*(field[i : i + _PIECE] for field in whole))
+
+    def _keep(self, motion: Motion) -> None:
+        """Put a piece of the motion aside."""
+        n, (velocity, effort) = self._n, (motion.velocity, motion.effort)
+        for every, values in ((self._measured, velocity), (self._driven, effort)):
+            every &= False if values is None else np.isfinite(values[:, :n]).all(axis=0)
+        self._stamps.append(motion.stamps)
+        moving = np.empty((len(motion.stamps), self._moving.spool.width))
+        moving[:, n : 2 * n] = np.nan if velocity is None else velocity[:, :n]
+        moving[:, :n], moving[:, 2 * n :] = motion.position[:, :n], motion.position[:, n:]
+        self._moving.spool.append(moving)
+        if self._driven.any():
+            self._effort.append(effort)
+
+    def taken(self, table: Table) -> None:
+        """Keep the torques beside the measured efforts of their joints."""
+        joints = self._names[: self._n]
+        self._pairs = driven(joints, list(table), self._driven)
+        if not self._pairs:
+            return
+        if self._tau is None:
+            self._tau = self._spool(len(self._pairs))
+        self._tau.append(np.column_stack([table[name] for _, name in self._pairs]))
+
+    def lines(self) -> Iterator[str]:
+        """See `streamed.Source`."""
+        dropped = self._blocks.dropped.items()
+        yield from (f"{self._where}: {count} messages left out: {why}" for why, count in dropped)
+        self._cutoff = stated(self._stamps, self._cutoff)
+        chosen = self._task.derivatives.cutoff is None
+        names = self._names[: self._n]
+        yield from cutoff_lines(self._cutoff, names, chosen, len(self._stamps))
+
+    def last_lines(self) -> Iterator[str]:
+        """How far the torques are off the measured efforts."""
+        if self._tau is not None:
+            joints = [j for j, _ in self._pairs]
+            sides = _Sides(self._effort, joints, self._tau)
+            yield from off_the_effort(self._windows, sides, self._cutoff[joints])
+
+
+class _Sides:
+    """Measured efforts of some joints, then their torques, by rows."""
+
+    def __init__(self, effort: Spool, joints: list[int], tau: Spool) -> None:
+        self._effort, self._joints, self._tau = effort, joints, tau
+
+    def __getitem__(self, rows: slice) -> Array:
+        """Some rows, shape (n, 2 * joints)."""
+        return np.hstack([self._effort[rows][:, self._joints], self._tau[rows]])
+
+
+class _Moving:
+    """Positions and velocities of the independent joints, and positions of the others, by rows.
+
+    Attributes:
+        spool: Holds them.
+    """
+
+    def __init__(self, spool: Spool, independent: int) -> None:
+        self.spool, self._n = spool, independent
+
+    def __getitem__(self, rows: slice) -> Array:
+        """Those of the independent joints."""
+        return self.spool[rows][:, : 2 * self._n]
+
+    def dependent(self, rows: slice) -> Array:
+        """Positions of the other joints."""
+        none = self.spool.width == 2 * self._n
+        return (
+            np.zeros((rows.stop - rows.start, 0)) if none else self.spool[rows][:, 2 * self._n :]
+        )

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
+from mbd_ros.jobs.progress import say
 from mbd_ros.motion.options import (
     add_derivatives,
     add_stance,
@@ -142,11 +142,10 @@ def _mesh_task(arguments: argparse.Namespace) -> "MeshTask | None":
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.loads.job import LoadsTask
-    from mbd_ros.features.loads.writing import loads_to
+    from mbd_ros.features.loads.job import LoadsTask, loads_to
     from mbd_ros.motion.derivatives import Derivatives
     from mbd_ros.motion.samples import Task
-    from mbd_ros.motion.stance_option import stance_of
+    from mbd_ros.motion.unmeasured_contacts import stance_of
     from mbd_ros.scene.reader import load_scene
 
     given = arguments

@@ -1,4 +1,4 @@
-"""Loads on a body over time, a slot each that stays the same from sample to sample."""
+"""Loads on a body over time, and the instants that matter."""
 
 import itertools
 from collections.abc import Sequence
@@ -8,8 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import NANOSECOND, Array
-from mbd_ros.features.loads.free_body import BodyLoad, BodyMotion
-from mbd_ros.features.loads.free_body_balance import Balance, balances
+from mbd_ros.errors import DataError
+from mbd_ros.features.loads.free_body import Balance, BodyLoad, BodyMotion, balances
+
+# ---- history ----------------------------------------------------------------------------------
+# Loads on a body over time, a slot each that stays the same from sample to sample.
 
 
 class Slot(NamedTuple):
@@ -128,3 +131,55 @@ def _places(loads: Sequence[BodyLoad], whole: Sequence[BodyLoad]) -> Sequence[in
             for i, load in zip(places, loads, strict=True)
         ),
     )
+
+
+# ---- instants ---------------------------------------------------------------------------------
+# Instants of a history that matter: peaks of its loads, and those that were chosen.
+
+
+CHOSEN = "chosen"
+_NOTHING = 1.0e-9  # of the largest load: a peak below it is rounding
+
+
+class Instant(NamedTuple):
+    """A sample that is marked.
+
+    Attributes:
+        row: Of the history.
+        name: `<load>.force` or `<load>.torque` of a peak, or `chosen`.
+        value: Of the peak [N or N·m], 0 where it was chosen.
+    """
+
+    row: int
+    name: str
+    value: float
+
+
+def instants_of(history: History, chosen: Sequence[float]) -> list[Instant]:
+    """Peaks of force and moment of every load, and chosen instants, in the order of time.
+
+    Args:
+        history: The loads.
+        chosen: Times [s]; the nearest sample is taken.
+
+    Raises:
+        DataError: A time outside of the history.
+    """
+    found = [Instant(_row(history, time), CHOSEN, 0.0) for time in chosen]
+    for quantity, values in (("force", history.force), ("torque", history.moment)):
+        sizes: Array = np.linalg.norm(values, axis=2)
+        least = _NOTHING * sizes.max(initial=0.0)
+        for slot, size in zip(history.slots, sizes.T, strict=True):
+            row = int(size.argmax())
+            if size[row] > least:
+                found.append(Instant(row, f"{slot.name}.{quantity}", float(size[row])))
+    return sorted(found, key=lambda each: (each.row, each.name))
+
+
+def _row(history: History, time: float) -> int:
+    times = history.stamps * NANOSECOND
+    if not times[0] - 1e-9 <= time <= times[-1] + 1e-9:
+        raise DataError(
+            f"--at {time:g}: outside of the motion, accepted: {times[0]:.9g} to {times[-1]:.9g} s"
+        )
+    return int(np.abs(times - time).argmin())

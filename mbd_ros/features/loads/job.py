@@ -1,39 +1,121 @@
 """Loads on a body that is cut free: `mbd-ros loads`."""
 
-from collections.abc import Iterator, Sequence
-from pathlib import Path
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path as File
+from pathlib import Path as PathlibPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.kinematics.paths.paths import Path
+from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError, ModelError, SceneError, SolveError
-from mbd_ros.features.loads.acting_wrenches import CONTACT, ActingWrenches, Named
-from mbd_ros.features.loads.fem.units import units_of
-from mbd_ros.features.loads.free_body import BodyLoad, BodyMotion, FreeBody
-from mbd_ros.features.loads.history import History, in_slots
-from mbd_ros.features.loads.instants import Instant, instants_of
-from mbd_ros.features.loads.tensions import commanded_paths, tensions_at
-from mbd_ros.files.table import Result
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, progress, watching
+from mbd_ros.features.loads.fem.mesh import Units, units_of
+from mbd_ros.features.loads.free_body import (
+    CONTACT,
+    ActingWrenches,
+    BodyLoad,
+    BodyMotion,
+    FreeBody,
+    Named,
+    inertial_load,
+)
+from mbd_ros.features.loads.history import History, Instant, in_slots, instants_of
+from mbd_ros.files.formats import is_bag, read_result
+from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.table import MAIN, Column, Result, Table, motion_stamps, time_columns
+from mbd_ros.jobs.progress import Say, Watch, progress, watching
+from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.inverse_solution import Solved, solve_motion
 from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.samples import Task
-from mbd_ros.motion.stance_option import stance_of
+from mbd_ros.motion.unmeasured_contacts import stance_of
 from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
     from mbd_ros.features.loads.fem.finite_elements import MeshTask
 
 
-from mbd_ros.core.state import NANOSECOND
-from mbd_ros.features.loads.fem.units import Units
-from mbd_ros.features.loads.free_body_balance import inertial_load
-from mbd_ros.files.table import MAIN, Column, Table
-from mbd_ros.files.times import time_columns
+# ---- tensions ---------------------------------------------------------------------------------
+# Tensions of muscles and other commanded paths, as another job found them.
+
+
+_QUANTITIES = "tension", "force"  # as `simulate` and `muscles` call it
+
+
+def commanded_paths(scene: Scene) -> dict[str, Path]:
+    """Paths of muscles and of other parts whose tension a motion does not show."""
+    known = {id(part) for part in scene.acting}
+    every = (*scene.commanded, *scene.forces)
+    return {p.name: p.path for p in every if hasattr(p, "path") and id(p) not in known}
+
+
+def tensions_at(
+    paths: Mapping[str, Path],
+    motion: Source,
+    given: Source | None,
+    stamps: NDArray[np.int64],
+    say: Say,
+) -> Array:
+    """Tensions at the samples of a motion [N], shape (n, paths).
+
+    Args:
+        paths: By name of the part that pulls.
+        motion: May carry them, in columns `<part>.tension` or `<part>.force`.
+        given: Table with such columns, linear between its rows; None for those of the motion.
+        stamps: Of the samples [ns], shape (n,).
+        say: Is told whose are taken as 0.
+
+    Raises:
+        DataError: A table that has none of them, or does not cover the motion.
+    """
+    found = np.zeros((len(stamps), len(paths)))
+    source = motion if given is None else given
+    table = _table(source)
+    columns = {} if table is None else _columns(table, paths)
+    if given is not None and not columns:
+        wanted = listed([f"{name}.{quantity}" for name in paths for quantity in _QUANTITIES])
+        raise DataError(f"--muscle-forces {name_of(given)}: no column {wanted or 'is asked for'}")
+    if table is not None and columns:
+        at = motion_stamps(table, name_of(source))
+        if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
+            covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]])
+            asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
+            raise DataError(f"{name_of(source)}: tensions at {covered} s do not cover {asked} s")
+        since, times = (at - at[0]) * NANOSECOND, (stamps - at[0]) * NANOSECOND
+        for i, name in enumerate(paths):
+            if name in columns:
+                found[:, i] = np.interp(times, since, columns[name])
+    if lacking := [name for name in paths if name not in columns]:
+        say(f"tensions of {listed(lacking)} are taken as 0; --muscle-forces gives them")
+    return found
+
+
+def _table(source: Source) -> Table | None:
+    if isinstance(source, Result):
+        return source[MAIN]
+    return None if is_bag(source) else read_result(File(source))[MAIN]
+
+
+def _columns(table: Table, paths: Mapping[str, Path]) -> dict[str, Array]:
+    found = {}
+    for name in paths:
+        for quantity in _QUANTITIES:
+            column = f"{name}.{quantity}"
+            if name not in found and column in table:
+                values = np.asarray(table[column], dtype=np.float64)
+                if not np.isfinite(values).all():
+                    raise DataError(f"column {column} has gaps")
+                found[name] = values
+    return found
+
+
+# ---- job --------------------------------------------------------------------------------------
+# Loads on a body that is cut free: `mbd-ros loads`.
+
 
 # Loads on a body as tables.
 
@@ -160,7 +242,7 @@ def loads(
     cutoff: float | None = None,
     half_width: int | None = None,
     wrenches: Source | None = None,
-    external: str | Path | None = None,
+    external: str | PathlibPath | None = None,
     time_range: tuple[float, float] | None = None,
     wrench_axes: str | None = None,
     topic: str = "/joint_states",
@@ -213,7 +295,7 @@ def loads(
     asked = stance_of(stance, stance_gap, stance_speed)
     given = Derivatives(derivatives, cutoff, half_width)
     with watching(progress):
-        file = None if external is None else Path(external)
+        file = None if external is None else PathlibPath(external)
         more: dict[str, Any] = {"wrench_axes": wrench_axes, "stance": asked}
         more |= {"bounds": bounds, "external": file, "time_range": time_range}
         task = Task(motion, given, wrenches, topic, **more)
@@ -276,7 +358,7 @@ def _touching(solved: Solved) -> Iterator[tuple[Array, Any]]:
     """Forces of known contacts, and what they exert on bodies."""
     if not solved.known:
         return
-    from mbd_ros.motion.contact_forces import forces_at  # only where something touches
+    from mbd_ros.motion.unmeasured_contacts import forces_at  # only where something touches
 
     def exerted(one: Any) -> Any:
         def wrenches(body: FreeBody, x: State, forces: Array) -> list[Named]:
@@ -302,3 +384,50 @@ def _check(history: History, where: str, say: Say) -> None:
     links, cut = ", ".join(history.links), ", ".join(history.joints)
     say(f"{history.body} ({links}), {history.inertia.mass:.6g} kg, cut at {cut}")
     say(text)
+
+
+# ---- writing ----------------------------------------------------------------------------------
+# Results of `mbd-ros loads` in files: tables, and meshes with their loads.
+
+
+MESHED = ".inp", ".feb", ".vtu"
+
+
+def loads_to(scene: Scene, task: LoadsTask, out: PathlibPath, say: Say) -> None:
+    """Read a motion, write the loads on a body.
+
+    Args:
+        scene: The scene.
+        task: What is asked for.
+        out: Its suffix chooses the format.
+        say: Is told what was done and left out, a line each.
+
+    Raises:
+        MbdError: As `loads`, or a place that cannot be written to.
+    """
+    motion = task.motion
+    sources = motion.motion, motion.wrenches, motion.external, task.muscle_forces
+    refuse_overwriting(out, *(source for source in sources if isinstance(source, PathlibPath)))
+    if out.suffix in MESHED:
+        _finite_elements(scene, task, out, say)
+        return
+    if task.mesh is not None:
+        raise DataError(f"{out}: --mesh goes with {', '.join(MESHED)}")
+    check_place(out)
+    result, _, _ = run_loads(scene, task, say)
+    result.to(out)
+    say(f"{result[MAIN].rows} samples of loads on {task.body} -> {out}")
+
+
+def _finite_elements(scene: Scene, task: LoadsTask, out: PathlibPath, say: Say) -> None:
+    """Write a mesh with its loads."""
+    from mbd_ros.features.loads.fem.finite_elements import body_of, write_body  # for meshes only
+
+    if task.mesh is None:
+        raise DataError(f"{out}: --mesh is needed, the solid that takes the loads")
+    if not out.parent.is_dir():
+        raise DataError(f"{out}: directory {out.parent} does not exist")
+    _, history, instants = run_loads(scene, task, say)
+    body, steps, text = body_of(history, instants, task.mesh, units_of(task.units))
+    say(text)
+    write_body(body, steps, out, say, task.mesh.amplitudes)

@@ -4,7 +4,7 @@ import argparse
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
+from mbd_ros.jobs.progress import say
 from mbd_ros.scene.schema.locate import path_word
 
 
@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
     from mbd_ros.features.markers.job import kinematics_to
-    from mbd_ros.features.markers.solver import NO_TASK
+    from mbd_ros.features.markers.marker_kinematics import NO_TASK
     from mbd_ros.scene.reader import load_scene
 
     names = ("begin", "end", "unit", "axes", "smoothness")

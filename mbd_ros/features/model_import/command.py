@@ -4,8 +4,8 @@ import argparse
 from pathlib import Path
 
 from mbd_ros.errors import OK
-from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.lines import say_all
+from mbd_ros.jobs.arguments import about
+from mbd_ros.jobs.progress import say_all
 from mbd_ros.scene.schema.locate import path_word
 
 

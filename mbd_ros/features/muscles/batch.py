@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 from mbd_ros.errors import DataError
 from mbd_ros.features.muscles.job import Sharing, muscles_to
 from mbd_ros.features.muscles.task import muscles_task
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.several_motions import Outcome, do_motions, externals_of, orders_of, outcome_of
+from mbd_ros.jobs.progress import Say
+from mbd_ros.jobs.result_files import Outcome, do_motions, externals_of, orders_of, outcome_of
 from mbd_ros.jobs.workers.task import Task as WorkerTask
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.samples import Task

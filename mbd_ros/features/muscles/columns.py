@@ -6,9 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.inverse_dynamics.joint_loads import JointLoads
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observations
-from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
+from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import Array
 from mbd_ros.features.muscles.muscle_frames import Frames
@@ -16,6 +14,8 @@ from mbd_ros.features.muscles.static_optimization import Shares, StaticOptimizat
 from mbd_ros.features.muscles.task import MusclesTask
 from mbd_ros.features.muscles.trial import Shared
 from mbd_ros.files.table import Column
+from mbd_ros.methods.inverse_dynamics.reactions import JointLoads
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
 from mbd_ros.motion.columns import body_columns, joint_columns
 
 OPTIMUM = "muscles"  # stands before the names of what is said of a whole frame
@@ -128,7 +128,7 @@ def _motion(
 
 
 def topics(solver: StaticOptimization) -> dict[str, Any]:
-    """Topics of a bag, see `files.bags.bag_streams`: the same as those of the node."""
+    """Topics of a bag, see `files.bags.bag_writer`: the same as those of the node."""
     names = [muscle.name for muscle in solver.muscles]
     fields = {"position": "length", "velocity": "speed", "effort": "force"}
     of_muscles = {f: {n: f"{n}.{quantity}" for n in names} for f, quantity in fields.items()}

@@ -6,8 +6,8 @@ from typing import Any
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
-from mbd_ros.jobs.workers.arguments import add_workers
+from mbd_ros.jobs.progress import say
+from mbd_ros.jobs.workers.opening import add_workers
 from mbd_ros.motion.options import (
     add_derivatives,
     add_motions,

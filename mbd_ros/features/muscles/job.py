@@ -7,9 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.inverse_dynamics.joint_loads import JointLoads
-from mbd_ros.core.inverse_dynamics.reserves import CoordinateReserve
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observations
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
@@ -26,16 +23,17 @@ from mbd_ros.features.muscles.task import MusclesTask, muscles_task
 from mbd_ros.features.muscles.trial import Shared, shared_trial
 from mbd_ros.files.formats import read_result
 from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.files.times import motion_stamps, time_columns
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, progress, watching
+from mbd_ros.files.table import MAIN, Column, Result, Table, motion_stamps, time_columns
+from mbd_ros.jobs.progress import Say, Watch, progress, watching
+from mbd_ros.methods.inverse_dynamics.reactions import JointLoads
+from mbd_ros.methods.inverse_dynamics.reserves import CoordinateReserve
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.samples import Task, loads_of_laboratory, observe_motion
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.describe.coordinate_names import coordinate_names
+from mbd_ros.scene.describe.scene_summary import coordinate_names
 
 # Lines for people on how muscles shared the forces of a motion.
 

@@ -3,12 +3,12 @@
 import math
 from pathlib import Path
 
-from mbd_ros.core.inverse_dynamics.reserves import BodyReserve, CoordinateReserve, reserve_on
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import ModelError
+from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, CoordinateReserve, reserve_on
+from mbd_ros.scene.models.imported import parse_document, read_text
 from mbd_ros.scene.models.osim.item import Item
-from mbd_ros.scene.models.xml_text import parse_document, read_text
 
 Reserve = CoordinateReserve | BodyReserve
 _SIGNS = {"inf": 1.0, "infinity": 1.0, "-inf": -1.0, "-infinity": -1.0}

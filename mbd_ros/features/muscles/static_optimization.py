@@ -12,23 +12,158 @@ Source: K. R. Kaufman, K. An, W. Litchy, E. Chao, J. Biomech. 24 (1991) 781, 793
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.core.inverse_dynamics.reserves import Reserve
 from mbd_ros.core.model.couplings import Slopes
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.muscles.muscle import Muscle
-from mbd_ros.core.optimization.separable_cost import SeparableCost
-from mbd_ros.core.optimization.separable_program import Optimum, SeparableProgram
+from mbd_ros.core.optimization.separable import Optimum, SeparableCost, SeparableProgram
 from mbd_ros.core.state import NONE, Array
 from mbd_ros.core.thresholds import SINGULAR
-from mbd_ros.errors import SolveError
+from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.features.muscles.muscle_frames import Frames, MuscleFrames
-from mbd_ros.features.muscles.sharing_costs import sizes_of
-from mbd_ros.features.muscles.sharing_options import NOTHING_SPECIAL, Wishes, check_wishes
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.methods.inverse_dynamics.reserves import Reserve
+
+# ---- sharing costs ----------------------------------------------------------------------------
+# What muscles minimise where they share a load: prices of activations, one a muscle and frame.
+#
+# The cost is sum w_i a_i^p of the muscles and sum |e_j|^p of reserves, e the effort
+# in optimal forces. Prices have no units, and are about 1 for a muscle of the mean size.
+
+
+_LEAST = 1.0e-6  # price of a muscle that has no force at all
+EXPONENTS = {"activation": 2.0, "stress": 3.0, "volume": 2.0, "metabolic": 1.0}
+
+
+class Criterion(NamedTuple):
+    """A cost of activations.
+
+    - `activation`: w = 1. Source: K. R. Kaufman et al., J. Biomech. 24 (1991) 793.
+    - `stress`: w = (F0 / F_max)^p, so that a^p w = (force / peak force)^p, which is fatigue for
+      p = 3. Source: R. D. Crowninshield, R. A. Brand, J. Biomech. 14 (1981) 793.
+    - `volume`: w = F_max l_opt over their mean: large muscles cost more. Source: R. Happee,
+      F. C. T. van der Helm, J. Biomech. 28 (1995) 1179.
+    - `metabolic`: w = F_max v_max phi over the mean of F_max v_max, phi(v / v_max) the metabolic
+      rate of fibres that shorten at v; p = 1 is that rate itself. Source: A. E. Minetti,
+      R. McN. Alexander, J. Theor. Biol. 186 (1997) 467.
+
+    Attributes:
+        kind: One of the four.
+        exponent: The p >= 1.
+    """
+
+    kind: str = "activation"
+    exponent: float = 2.0
+
+    def prices(self, sizes: "Sizes", active: Array, speed: Array) -> Array:
+        """The w, shape (frames, n).
+
+        Args:
+            sizes: Of the muscles.
+            active: Their F0, the force at full activation [N], shape (frames, n).
+            speed: Lengthening of their fibres [m/s], same shape.
+        """
+        if self.kind == "activation":
+            return np.ones_like(active)
+        if self.kind == "stress":
+            return np.maximum((active / sizes.peak) ** self.exponent, _LEAST)
+        if self.kind == "volume":
+            volume = sizes.peak * sizes.optimal
+            return np.broadcast_to(volume / volume.mean(), active.shape)
+        power = sizes.peak * sizes.fastest
+        return power / power.mean() * shortening_rate(-speed / sizes.fastest)
+
+
+DEFAULT = Criterion()
+
+
+class Sizes(NamedTuple):
+    """Numbers of muscles, shape (n,) each.
+
+    Attributes:
+        peak: Largest isometric force [N].
+        optimal: Fibre length at which it is reached [m].
+        fastest: Largest speed of shortening [m/s].
+    """
+
+    peak: Array
+    optimal: Array
+    fastest: Array
+
+
+def sizes_of(muscles: Sequence[Muscle]) -> Sizes:
+    """Sizes of muscles."""
+    every = [muscle.contraction for muscle in muscles]
+    rows = [[c.peak, c.optimal, c.fastest] for c in every]
+    return Sizes(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
+
+
+def shortening_rate(shortening: Array) -> Array:
+    """Metabolic rate of active fibres per peak force and largest speed.
+
+    Source: A. E. Minetti, R. McN. Alexander, J. Theor. Biol. 186 (1997) 467.
+
+    Args:
+        shortening: Speed per largest speed, negative where fibres lengthen; kept within -1 .. 1.
+    """
+    x = np.clip(shortening, -1.0, 1.0)
+    above = 0.054 + x * (0.506 + 2.46 * x)
+    return np.asarray(above / (1.0 + x * (-1.13 + x * (12.8 - 1.64 * x))))
+
+
+# ---- sharing options --------------------------------------------------------------------------
+# What is asked of the activations that share a motion.
+
+
+MOST_WITH_TRACKING = 3.0  # exponent beside a measured activation
+
+
+class Wishes(NamedTuple):
+    """What is asked of the activations.
+
+    Attributes:
+        criterion: What is minimised.
+        passive: Whether the elastic force of the fibres acts beside the active one.
+        rise: Fastest rise of an activation [1/s], inf without a limit.
+        fall: Fastest fall [1/s].
+        tracking: Price of (a - measured)^2, beside prices of about 1; 0 without tracking.
+        measured_is_least: Whether a measured activation is a lower bound: co-contraction.
+    """
+
+    criterion: Criterion = DEFAULT
+    passive: bool = False
+    rise: float = np.inf
+    fall: float = np.inf
+    tracking: float = 0.0
+    measured_is_least: bool = False
+
+
+NOTHING_SPECIAL = Wishes()
+
+
+def check_wishes(muscles: Sequence[Muscle], wishes: Wishes) -> None:
+    """Refuse what no optimum is defined for.
+
+    Raises:
+        ModelError: No muscles, an exponent beside tracking that is too large, or a rate of 0.
+    """
+    if not muscles:
+        raise ModelError("static optimisation: the scene has no muscles")
+    exponent = wishes.criterion.exponent
+    if wishes.tracking > 0.0 and exponent > MOST_WITH_TRACKING:
+        raise ModelError(
+            f"static optimisation: exponent {exponent:g} beside measured activations that are "
+            f"tracked; accepted: 1 .. {MOST_WITH_TRACKING:g}"
+        )
+    if not (wishes.rise > 0.0 and wishes.fall > 0.0):
+        raise ModelError("static optimisation: rates of activation must be greater than 0")
+
+
+# ---- static optimization ----------------------------------------------------------------------
+# Static optimisation: how muscles share the forces that a motion needs, frame by frame.
 
 
 @dataclass(frozen=True)

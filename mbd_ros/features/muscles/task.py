@@ -6,23 +6,25 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from mbd_ros.core.inverse_dynamics.joint_loads import JointLoads, Side
-from mbd_ros.core.inverse_dynamics.reactions import JointReactions
-from mbd_ros.core.inverse_dynamics.reserves import (
+from mbd_ros.core.loads.inputs import input_names
+from mbd_ros.core.ranges import Positive, Unit, Within
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.features.muscles.muscle_frames import DEFAULTS, MuscleDynamics
+from mbd_ros.features.muscles.static_optimization import (
+    EXPONENTS,
+    Criterion,
+    StaticOptimization,
+    Wishes,
+)
+from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions, Side
+from mbd_ros.methods.inverse_dynamics.reserves import (
     BodyReserve,
     InputReserve,
     Reserve,
     coordinate_reserves,
     reserve_on,
 )
-from mbd_ros.core.loads.inputs import input_names
-from mbd_ros.core.ranges import Positive, Unit, Within
-from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.features.muscles.muscle_dynamics import DEFAULTS, MuscleDynamics
-from mbd_ros.features.muscles.sharing_costs import EXPONENTS, Criterion
-from mbd_ros.features.muscles.sharing_options import Wishes
-from mbd_ros.features.muscles.static_optimization import StaticOptimization
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.runs.path_search import QuickestSearch, state_paths

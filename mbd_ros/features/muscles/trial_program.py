@@ -16,19 +16,362 @@ activation: without it muscles begin with whatever activation is of use.
 Source: F. De Groote et al., Ann. Biomed. Eng. 44, 2016, 2922-2936, doi:10.1007/s10439-016-1591-9.
 """
 
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Sequence
+from typing import Any, NamedTuple
 
+import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
-from mbd_ros.core.muscles.muscle import Muscle
+from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
+from mbd_ros.compiled.symbols.scalar import Scalar, plain
+from mbd_ros.core.muscles.contraction import Contraction, Fiber, Pennation
+from mbd_ros.core.muscles.muscle import ActivationDynamics, Muscle
 from mbd_ros.core.state import Array
-from mbd_ros.features.muscles.muscle_trial import Excited, Optimal, Trial
-from mbd_ros.features.muscles.trial_blocks import MuscleBlocks, Part
-from mbd_ros.features.muscles.trial_forms import start_slopes
+from mbd_ros.features.muscles.muscle_frames import Excited, Optimal, Trial
 from mbd_ros.optimal_control.collocation import Collocation
 from mbd_ros.optimal_control.ipopt import Solved, solve
-from mbd_ros.optimal_control.sparse_program import SparseProgram
+from mbd_ros.optimal_control.sparse_program import Block, Form, Places, SparseProgram
+
+# ---- trial forms ------------------------------------------------------------------------------
+# Equations of one muscle or of one time, that repeat over muscles, intervals and points.
+
+
+_ROUND = 1.0e-3  # of full excitation and of the optimal force of a reserve
+
+
+def price_form(exponent: float) -> Form:
+    """Of x it gives w |x|^p; data: w."""
+    x, weight = ca.SX.sym("x"), ca.SX.sym("w")
+    return Form(x, weight, ca.SX(0, 1), weight * _power(x, exponent))
+
+
+def slope_form() -> Form:
+    """Of x it gives s x; data: s."""
+    x, slope = ca.SX.sym("x"), ca.SX.sym("s")
+    return Form(x, slope, ca.SX(0, 1), slope * x)
+
+
+def start_slopes(scheme: Collocation) -> Array:
+    """What the rows of an interval gain by the state at its start, shape (degree,)."""
+    slopes, sizes = _differences(scheme)
+    found: Array = -slopes.sum(axis=1) / sizes
+    return found
+
+
+def activation_form(dynamics: ActivationDynamics, scheme: Collocation, exponent: float) -> Form:
+    """One activation on one interval, and what its excitation costs.
+
+    Unknown are the activation at the start, activations and excitations at the points; data:
+    width of the interval, numbers of the dynamics, then prices, stiffness and target at points.
+    """
+    kind: Any = type(dynamics)
+    d, count = scheme.degree, len(kind._fields)
+    a, e = ca.SX.sym("a", d + 1), ca.SX.sym("e", d)
+    h, own, known = ca.SX.sym("h"), ca.SX.sym("n", count), ca.SX.sym("k", d, 3)
+    law = kind(*(Scalar(own[i]) for i in range(count)))
+    rates = [plain(law.rate(SymbolicKinematics, Scalar(e[j]), Scalar(a[j + 1]))) for j in range(d)]
+    prices, stiffness, target = ca.horzsplit(known)
+    costs = prices * _power(e, exponent) + stiffness * (a[1:] - target) ** 2
+    rows = _defects(scheme, a, h * ca.vertcat(*rates))
+    cost = h * ca.dot(ca.DM(scheme.b), costs)
+    return Form(ca.vertcat(a, e), ca.vertcat(h, own, ca.vec(known)), rows, cost)
+
+
+def fiber_form(scheme: Collocation) -> Form:
+    """One length of fibres on one interval: l' = v fastest; data: width, fastest."""
+    l, v = ca.SX.sym("l", scheme.degree + 1), ca.SX.sym("v", scheme.degree)  # noqa: E741
+    known = ca.SX.sym("k", 2)
+    return Form(ca.vertcat(l, v), known, _defects(scheme, l, known[0] * known[1] * v))
+
+
+def tendon_form(curves: Any) -> Form:
+    """Balance of one tendon with its fibres, per peak force.
+
+    Unknown are activation, length and speed of the fibres; data: the length of the path, then the
+    numbers of `contraction_numbers`.
+    """
+    x, known = ca.SX.sym("x", 3), ca.SX.sym("k", 8)
+    a, l, v, length = (Scalar(one) for one in (*ca.vertsplit(x), known[0]))  # noqa: E741
+    law = _contraction(known[1:], curves)
+    fiber = Fiber(l, law.cosine(SymbolicKinematics, l), v * law.fastest)
+    k = SymbolicKinematics
+    along = law.active(k, a, fiber) + law.passive(k, fiber) + law.damping(fiber)
+    lacks = (law.tendon(k, length, l) - along * fiber.cosine) / law.peak
+    return Form(x, known, plain(lacks))
+
+
+def contraction_numbers(law: Contraction) -> list[float]:
+    """Data of `tendon_form` beside the length of the path."""
+    return [law.peak, law.optimal, law.slack, law.fastest, *law.pennation]
+
+
+class Pull(NamedTuple):
+    """How the tension of a muscle follows from its unknown.
+
+    Attributes:
+        law: Beside an elastic tendon, from the length of fibres; None: from the activation.
+        may_slacken: Whether a tension beside a rigid tendon may come out negative.
+    """
+
+    law: Contraction | None
+    may_slacken: bool
+
+
+def force_form(pulls: Sequence[Pull], kept: NDArray[np.bool_]) -> Form:
+    """What muscles and reserves exert on the independent coordinates, less what is needed.
+
+    Unknown are an activation or a length of fibres for each muscle, then efforts of the reserves;
+    data: of each muscle strength and offset beside a rigid tendon, lengths of the paths, entries
+    of the columns, what is needed.
+
+    Args:
+        pulls: Of each muscle.
+        kept: Which entries of the columns are there, shape (nv_y, n + r).
+    """
+    (rows, columns), n = np.nonzero(kept), len(pulls)
+    x, needed = ca.SX.sym("x", kept.shape[1]), ca.SX.sym("t", kept.shape[0])
+    strength, offset, length = (ca.SX.sym(name, n) for name in ("s", "o", "L"))
+    entries = ca.SX.sym("c", len(rows))
+    exerted = ca.SX.zeros(kept.shape[0])
+    forces = [
+        _tension(pull, x[i], strength[i], offset[i], length[i]) for i, pull in enumerate(pulls)
+    ]
+    forces += ca.vertsplit(x[n:]) if kept.shape[1] > n else []
+    for place, (row, column) in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
+        exerted[row] += entries[place] * forces[column]
+    return Form(x, ca.vertcat(strength, offset, length, entries, needed), exerted - needed)
+
+
+def _tension(pull: Pull, x: Any, strength: Any, offset: Any, length: Any) -> Any:
+    if pull.law is not None:
+        return plain(pull.law.tendon(SymbolicKinematics, Scalar(length), Scalar(x)))
+    tension = strength * x + offset
+    return ca.fmax(tension, 0.0) if pull.may_slacken else tension
+
+
+def _contraction(numbers: Any, curves: Any) -> Contraction:
+    peak, optimal, slack, fastest, *geometry = (Scalar(one) for one in ca.vertsplit(numbers))
+    return Contraction(peak, optimal, slack, fastest, Pennation(*geometry), curves)
+
+
+def _defects(scheme: Collocation, x: Any, moved: Any) -> Any:
+    """Rows of x' h = moved at the points, by differences: they have fewest entries."""
+    slopes, sizes = _differences(scheme)
+    from_start = ca.DM(slopes / sizes[:, None]) @ (x[1:] - x[0])
+    return from_start - moved / ca.DM(sizes)
+
+
+def _differences(scheme: Collocation) -> tuple[Array, Array]:
+    """Slopes at the points by differences from the start, and the sizes of their rows."""
+    slopes: Array = np.linalg.inv(scheme.A)
+    return slopes, np.abs(slopes).sum(axis=1)
+
+
+def _power(x: Any, p: float) -> Any:
+    """|x|^p; where it has a kink at 0, a little round there."""
+    if p == 2.0:
+        return x**2
+    return (x**2) ** (0.5 * p) if p > 2.0 else (x**2 + _ROUND**2) ** (0.5 * p) - _ROUND**p
+
+
+# ---- trial blocks -----------------------------------------------------------------------------
+# Blocks of the program of a trial of muscles, on all of its intervals or on some.
+
+
+# Where the unknowns of a trial of muscles stand in its program.
+
+
+class MuscleNumbers(NamedTuple):
+    """Numbers of unknowns: those of the start, then point by point in the order below.
+
+    Attributes:
+        degree: Points on an interval.
+        a_start: Of activations at the start, shape (n,).
+        fiber_start: Of lengths of fibres beside elastic tendons, shape (ne,).
+        a: At the points, shape (points, n).
+        e: Of excitations, same shape.
+        r: Of efforts of reserves, shape (points, r).
+        fiber: Of lengths of fibres, shape (points, ne).
+        speed: Of speeds of fibres, same shape.
+    """
+
+    degree: int
+    a_start: Places
+    fiber_start: Places
+    a: Places
+    e: Places
+    r: Places
+    fiber: Places
+    speed: Places
+
+    @classmethod
+    def of(cls, intervals: int, degree: int, n: int, r: int, ne: int) -> "MuscleNumbers":
+        """Of a trial with so many intervals, muscles, reserves and elastic tendons."""
+        each, first = 2 * n + r + 2 * ne, n + ne
+        every = first + np.arange(intervals * degree * each).reshape(-1, each)
+        parts = np.split(every, np.cumsum([n, n, r, ne]), axis=1)
+        return cls(degree, np.arange(n), np.arange(n, first), *parts)
+
+    def over_intervals(self, start: Places, points: Places, some: Sequence[int]) -> Places:
+        """Of some states, those at the start of each interval above those at its points.
+
+        Args:
+            start: At the start.
+            points: At the points.
+            some: Which columns.
+
+        Returns:
+            Shape (1 + degree, intervals * len(some)).
+        """
+        ends = points[self.degree - 1 : -1 : self.degree]
+        begins = np.concatenate((start[None], ends))[:, some]
+        return np.concatenate((begins.reshape(1, -1), self.at_points(points, some)))
+
+    def at_points(self, values: Array, some: Sequence[int]) -> Array:
+        """Of some columns those at the points, shape (degree, intervals * len(some))."""
+        found = values[:, some].reshape(-1, self.degree, len(some))
+        return found.transpose(1, 0, 2).reshape(self.degree, -1)
+
+
+class Part(NamedTuple):
+    """What of a trial is solved.
+
+    Attributes:
+        solved: Which intervals, shape (intervals,); the others stay as they are.
+        slopes: What the cost of an interval and all after it gains by activations and lengths of
+            fibres at its start, shape (intervals, n + ne).
+    """
+
+    solved: NDArray[np.bool_]
+    slopes: Array
+
+
+class MuscleBlocks:
+    """Blocks of a trial; arguments as for `MuscleProgram`."""
+
+    def __init__(
+        self,
+        muscles: Sequence[Muscle],
+        trial: Trial,
+        scheme: Collocation,
+        exponent: float,
+        part: Part,
+    ) -> None:
+        self._muscles, self._trial, self._scheme = muscles, trial, scheme
+        self._exponent, self._part = exponent, part
+        self._elastic = [i for i, muscle in enumerate(muscles) if muscle.is_elastic]
+        sizes = len(muscles), trial.columns.shape[2] - len(muscles), len(self._elastic)
+        self._numbers = MuscleNumbers.of(len(trial.widths), scheme.degree, *sizes)
+        self._kept = np.repeat(part.solved, scheme.degree)  # points
+
+    @property
+    def numbers(self) -> MuscleNumbers:
+        """Where the unknowns stand."""
+        return self._numbers
+
+    @property
+    def kinds(self) -> list[list[int]]:
+        """Muscles whose activations move by one law each, in the order of the blocks."""
+        types = [type(muscle.dynamics) for muscle in self._muscles]
+        return [[i for i, one in enumerate(types) if one is kind] for kind in dict.fromkeys(types)]
+
+    def all(self) -> list[Block]:
+        """Prices at the start and of reserves, rows of muscles and of tendons, then of forces."""
+        return [
+            *self._prices(),
+            *self._beyond(),
+            *self._activations(),
+            *self._fibers(),
+            *self._tendons(),
+            self._forces(),
+        ]
+
+    def _prices(self) -> Iterator[Block]:
+        trial, price = self._trial, price_form(self._exponent)
+        falling = [float(muscle.dynamics.falling) for muscle in self._muscles]
+        if self._part.solved[0]:
+            weights = trial.prices[0] * falling
+            yield Block("start", price, self._numbers.a_start[None], weights[None])
+        shares = (trial.widths[:, None] * self._scheme.b).ravel()[self._kept]  # of time
+        efforts = self._numbers.r[self._kept]
+        weights = np.repeat(shares, efforts.shape[1])
+        yield Block("reserves", price, efforts.reshape(1, -1), weights[None])
+
+    def _beyond(self) -> Iterator[Block]:
+        """What states are worth where intervals follow that are not solved."""
+        solved, d = self._part.solved, self._scheme.degree
+        last = np.flatnonzero(solved[:-1] & ~solved[1:])
+        states = np.concatenate((self._numbers.a, self._numbers.fiber), axis=1)
+        at, slopes = states[d * last + d - 1], self._part.slopes[last + 1]
+        yield Block("beyond", slope_form(), at.reshape(1, -1), slopes.reshape(1, -1))
+
+    def _activations(self) -> Iterator[Block]:
+        """Rows and prices of muscles, by how their activation moves."""
+        trial, numbers = self._trial, self._numbers
+        laws: list[Any] = [muscle.dynamics for muscle in self._muscles]
+        for some in self.kinds:
+            form = activation_form(laws[some[0]], self._scheme, self._exponent)
+            places = numbers.over_intervals(numbers.a_start, numbers.a, some)
+            places = np.concatenate((places, numbers.at_points(numbers.e, some)))
+            own = np.tile(np.array([laws[i] for i in some], dtype=np.float64).T, len(trial.widths))
+            known = (trial.prices, trial.stiffness, trial.target)
+            points = [numbers.at_points(values[1:], some) for values in known]
+            widths = np.repeat(trial.widths, len(some))[None]
+            data = np.concatenate((widths, own, *points))
+            kept = np.repeat(self._part.solved, len(some))
+            yield Block("activations", form, places[:, kept], data[:, kept])
+
+    def _fibers(self) -> Iterator[Block]:
+        """Rows of lengths of fibres."""
+        ne = len(self._elastic)
+        if not ne:
+            return
+        numbers, every, widths = self._numbers, range(ne), self._trial.widths
+        places = numbers.over_intervals(numbers.fiber_start, numbers.fiber, every)
+        places = np.concatenate((places, numbers.at_points(numbers.speed, every)))
+        laws, intervals = [self._muscles[i].contraction for i in self._elastic], len(widths)
+        fastest = np.tile([law.fastest for law in laws], intervals)
+        data = np.stack((np.repeat(widths, ne), fastest))
+        sizes = np.tile([law.optimal for law in laws], (self._scheme.degree, intervals))
+        kept = np.repeat(self._part.solved, ne)
+        given = places[:, kept], data[:, kept], 0.0, 0.0, sizes[:, kept]
+        yield Block("fibers", fiber_form(self._scheme), *given)
+
+    def _tendons(self) -> Iterator[Block]:
+        """Balances of tendons with fibres, by their curves."""
+        laws = [self._muscles[i].contraction for i in self._elastic]
+        numbers, elastic = self._numbers, np.array(self._elastic, dtype=np.intp)
+        for curves in dict.fromkeys(law.curves for law in laws):
+            some = [at for at, law in enumerate(laws) if law.curves == curves]
+            each = numbers.a[:, elastic[some]], numbers.fiber[:, some], numbers.speed[:, some]
+            own = np.array([contraction_numbers(laws[at]) for at in some], dtype=np.float64).T
+            lengths = self._trial.length[1:, elastic[some]][self._kept].ravel()[None]
+            data = np.concatenate((lengths, np.tile(own, int(self._kept.sum()))))
+            places = np.stack([one[self._kept].ravel() for one in each])
+            yield Block("tendons", tendon_form(curves), places, data)
+
+    def _forces(self) -> Block:
+        """Rows of what muscles and reserves exert."""
+        trial, numbers = self._trial, self._numbers
+        least = [float(muscle.dynamics.least) for muscle in self._muscles]
+        slackens = ((trial.strength * least + trial.offset) < 0.0).any(axis=0)
+        pulls = [
+            Pull(muscle.contraction if muscle.is_elastic else None, bool(may))
+            for muscle, may in zip(self._muscles, slackens, strict=True)
+        ]
+        unknown = numbers.a.copy()
+        unknown[:, self._elastic] = numbers.fiber
+        kept = np.abs(trial.columns).max(axis=0) > 0.0
+        known = trial.strength, trial.offset, trial.length, trial.columns[:, kept], trial.needed
+        data = np.concatenate(known, axis=1)[1:][self._kept].T
+        places = np.concatenate((unknown, numbers.r), axis=1)[self._kept].T
+        return Block("forces", force_form(pulls, kept), places, data, 0.0, 0.0, trial.sizes)
+
+
+# ---- trial program ----------------------------------------------------------------------------
+# Excitations that cost least while muscles exert what a known motion needs.
+
 
 _FASTEST, _LONGEST = 3.0, 2.0  # bounds of fibres, per largest speed and per optimal length
 _SHORTEST = 0.05  # per optimal length, where fibres may be as short as they like

@@ -4,8 +4,8 @@ import argparse
 
 from mbd_ros.errors import FAILED, OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
-from mbd_ros.jobs.workers.arguments import add_workers
+from mbd_ros.jobs.progress import say
+from mbd_ros.jobs.workers.opening import add_workers
 from mbd_ros.scene.schema.locate import path_word
 
 
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.prediction.to_file import predict_to
+    from mbd_ros.features.prediction.job import predict_to
     from mbd_ros.scene.reader import load_scene
 
     scene = load_scene(arguments.scene)

@@ -5,8 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.features.prediction.mesh_errors import SAVED, accepted_passing
-from mbd_ros.features.prediction.solving import STOPPED, Found
+from mbd_ros.features.prediction.solving import SAVED, STOPPED, Found, accepted_passing
 from mbd_ros.features.prediction.task import PredictTask
 
 _SHOWN = 5

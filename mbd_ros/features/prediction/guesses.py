@@ -8,8 +8,7 @@ import numpy as np
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
 from mbd_ros.features.prediction.modes import PhaseMode
-from mbd_ros.features.prediction.recording import Recording
-from mbd_ros.features.prediction.references import recorded_lines
+from mbd_ros.features.prediction.recording import Recording, recorded_lines
 from mbd_ros.features.prediction.task import PredictTask
 from mbd_ros.optimal_control.unknowns import BODY, PhaseMotion, steps_of
 

@@ -8,10 +8,8 @@ from mbd_ros.errors import NotConvergedError
 from mbd_ros.features.prediction.failure import active, reasons
 from mbd_ros.features.prediction.modes import modes_of
 from mbd_ros.features.prediction.replay import NOT_AGAIN, Replay, replay, simulation_of
-from mbd_ros.features.prediction.residuals import residuals_of
-from mbd_ros.features.prediction.searching import search
+from mbd_ros.features.prediction.search import HERE, Where, search, where_of
 from mbd_ros.features.prediction.solving import Found
-from mbd_ros.features.prediction.starts import HERE, Where, where_of
 from mbd_ros.features.prediction.tables import (
     CONTINUATION,
     GOALS,
@@ -22,16 +20,21 @@ from mbd_ros.features.prediction.tables import (
     goal_table,
     motion_table,
     node_table,
+    residuals_of,
     start_table,
 )
 from mbd_ros.features.prediction.task import PredictTask, predict_task
+from mbd_ros.files.replacing import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.jobs.progress import Say, Watch, say_all, watching
+from mbd_ros.jobs.result_files import beside, write_tables
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.state_table import topics_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.task_reader import read_task
+
+# ---- job --------------------------------------------------------------------------------------
+# The best motion of a scene: `mbd-ros predict`.
 
 
 def predict(
@@ -175,3 +178,45 @@ def solution_lines(found: Found, again: Replay) -> Iterator[str]:
         recording = found.problem.recording
         what = "each node" if recording is not None and recording.loaded else "the end"
         yield f"  integrated again: {what} is off by {again.deviation:.1e}"
+
+
+# ---- to file ----------------------------------------------------------------------------------
+# A predicted motion into files: `mbd-ros predict`.
+
+
+def predict_to(
+    scene: Scene,
+    task: Path,
+    out: Path | None,
+    say: Say,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> bool:
+    """Find a motion, and write it where a place is given; the last iterate where there is none.
+
+    Args:
+        scene: The scene.
+        task: Task file.
+        out: The motion; its suffix chooses the format.
+        say: Is told what was found, a line each.
+        workers: How many processes try the starts of a task; None for one a core.
+        scheduler: Of a Dask cluster, in place of them.
+
+    Returns:
+        Whether there is a solution.
+
+    Raises:
+        MbdError: As `predict`, or a place that cannot be written to.
+    """
+    asked = task_of(scene, task)
+    if out is not None:
+        refuse_overwriting(out, task, scene.path)
+        for place in (out, *(beside(out, name) for name in (GOALS, NODES, CONTINUATION, STARTS))):
+            check_place(place)
+    where = where_of(scene, task, workers, scheduler)
+    found, result = run_predict(scene, asked, say, where)
+    if not found.is_converged:
+        say_all(reasons(found, asked))
+    if out is not None:
+        write_tables(result, out, say)
+    return found.is_converged

@@ -1,23 +1,31 @@
-"""The systems of the phases of a motion, and what links them."""
+"""The systems of the phases of a motion, what links them and what drives them."""
 
-from collections.abc import Sequence
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.events.phase import Check, Exit
-from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, Mode, State
-from mbd_ros.errors import ModelError
-from mbd_ros.features.prediction.task import PredictTask
+from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.features.prediction.smooth_scene import smooth_entries
+from mbd_ros.features.prediction.task import DrivenBy, PredictTask
+from mbd_ros.methods.events.phases import Check, Exit
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema.nearest import nearest
 
 if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_phase import MotionPhase
     from mbd_ros.optimal_control.motion_program import Linkage
+
+
+# ---- modes ------------------------------------------------------------------------------------
+# The systems of the phases of a motion, and what links them.
+
 
 _OFF = 1  # a row that gives way, at its lower bound
 
@@ -126,10 +134,9 @@ def _linkage(
     travel: Sequence[int],
     task: PredictTask,
 ) -> Any:
+    from mbd_ros.optimal_control.defects import PhaseEquations, independent
     from mbd_ros.optimal_control.linkages import ResetLinkage
-    from mbd_ros.optimal_control.phase_equations import PhaseEquations
-    from mbd_ros.optimal_control.traced_redundancy import independent
-    from mbd_ros.scene.runs.symbolic_parts import traced
+    from mbd_ros.scene.runs.compiling import traced
 
     one, other = (modes[i] for i in numbers)
     if one.phased is None:
@@ -177,3 +184,78 @@ def _equal_ends(task: PredictTask, phases: "Sequence[MotionPhase]") -> Any:
         pairs.append((last.find(name)[0], first.find(source.lstrip("-"))[0]))
         signs.append(sign)
     return EqualEnds(phases[-1], phases[0], pairs, signs)
+
+
+# ---- driving ----------------------------------------------------------------------------------
+# What drives a scene whose motion is looked for.
+
+
+DRIVES = "drives"  # ideal ones in all independent joints
+_RESIDUAL = "_residual"
+
+
+class Driven(NamedTuple):
+    """A scene with what drives it.
+
+    Attributes:
+        scene: The scene.
+        residuals: Names of the wrenches that drive its free bases.
+    """
+
+    scene: Scene
+    residuals: tuple[str, ...] = ()
+
+
+def driven(scene: Scene, by: DrivenBy = "scene", bounded: Iterable[str] = ()) -> Driven:
+    """The scene with what drives it.
+
+    Args:
+        scene: The scene.
+        by: `scene`: what it has; without any input an ideal drive in every independent joint.
+            `joints`: these drives, and wrenches on free bases, in place of muscles and actuators.
+            `muscles`: the same beside its muscles, with smooth curves and rigid tendons.
+        bounded: Names of quantities with bounds; external wrenches among them drive the scene.
+
+    Raises:
+        SceneError: There are no muscles, or nothing that drives.
+    """
+    own = [name for name in scene.inputs.slots if name not in scene.wrenches]
+    if by == "scene" and (own or driving_wrenches(scene, bounded)):
+        return Driven(scene)
+    names = [one.name for one in scene.robot.joints if one.name in scene.couplings.independent]
+    drives = [{"type": "ideal", "joints": names, "name": DRIVES}] if names else []
+    if by == "scene" and not drives:
+        raise SceneError(
+            f"{scene.name}: nothing drives it; accepted: actuators, external_wrenches that have "
+            "bounds in the task, or driven_by: joints"
+        )
+    if by == "scene":
+        return Driven(scene.with_(actuators=drives))
+    if by == "muscles" and not scene.muscles:
+        raise SceneError(f"{scene.name}: driven_by: muscles: the scene has none")
+    muscles = smooth_entries(scene, {"tendon": "rigid"}) if by == "muscles" else None
+    given = scene.entries.get("external_wrenches") or {}
+    wrenches = {
+        _untaken(f"{one.name}{_RESIDUAL}", given): {"frame": one.frame}
+        for one in scene.robot.bases
+    }
+    found = scene.with_(
+        muscles=muscles,
+        actuators=drives,
+        external_wrenches={**given, **wrenches} or None,
+    )
+    return Driven(found, tuple(wrenches))
+
+
+def driving_wrenches(scene: Scene, bounded: Iterable[str]) -> tuple[str, ...]:
+    """Components of external wrenches that have bounds, as inputs are called."""
+    names, patterns = scene.inputs.names, tuple(bounded)
+    slots = (scene.inputs.slots[name] for name in scene.wrenches)
+    every = (name for one in slots for name in names[one.start : one.stop])
+    return tuple(name for name in every if any(fnmatchcase(name, key) for key in patterns))
+
+
+def _untaken(name: str, taken: Mapping[str, Any]) -> str:
+    """The name, numbered where a wrench of the scene has it."""
+    numbered = (f"{name}_{number}" for number in itertools.count(2))
+    return next(one for one in itertools.chain([name], numbered) if one not in taken)

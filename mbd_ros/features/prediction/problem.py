@@ -7,22 +7,26 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.projection.independent_limits import independent_limits
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.features.prediction.driving import Driven, driven
 from mbd_ros.features.prediction.guesses import guesses_of
-from mbd_ros.features.prediction.modes import PhaseMode, linkages_of, middles, modes_of, started
-from mbd_ros.features.prediction.recording import Recording, given_inputs, recorded
-from mbd_ros.features.prediction.references import References
-from mbd_ros.features.prediction.task import PredictTask
-from mbd_ros.features.prediction.task_phases import PhaseTask
-from mbd_ros.optimal_control.free_body_names import body_names
+from mbd_ros.features.prediction.modes import (
+    Driven,
+    PhaseMode,
+    driven,
+    linkages_of,
+    middles,
+    modes_of,
+    started,
+)
+from mbd_ros.features.prediction.recording import Recording, References, given_inputs, recorded
+from mbd_ros.features.prediction.task import PhaseTask, PredictTask
+from mbd_ros.methods.projection.coupled_joints import independent_limits
 from mbd_ros.optimal_control.mesh import uniform_mesh
-from mbd_ros.optimal_control.problem import PhaseProblem, Range
+from mbd_ros.optimal_control.problem import PhaseProblem, Range, body_names
 from mbd_ros.optimal_control.unknowns import PhaseMotion
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.describe.coordinate_names import coordinate_names, velocity_names
+from mbd_ros.scene.describe.scene_summary import coordinate_names, velocity_names
 
 if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_phase import MotionPhase
@@ -33,7 +37,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.prediction.wrapping_entries import wrapping
+from mbd_ros.features.prediction.smooth_scene import wrapping
 
 # A scene and a task -> those that are solved: smooth muscles, no paths that are searched for.
 
@@ -59,13 +63,13 @@ def traceable(scene: Scene, task: PredictTask, recording: Recording | None = Non
     """
     lines = list[str]()
     if task.muscles is not None:
-        from mbd_ros.features.prediction.smooth_muscles import with_smooth_muscles
+        from mbd_ros.features.prediction.smooth_scene import with_smooth_muscles
 
         scene, line = with_smooth_muscles(scene, task.muscles)
         lines.append(line)
     if not wrapping(scene):
         return scene, task, tuple(lines)
-    from mbd_ros.features.prediction.fitted_paths import with_fitted_paths
+    from mbd_ros.features.prediction.smooth_scene import with_fitted_paths
 
     limits = dict(_limits(scene, task, recording))
     scene, more, joints = with_fitted_paths(scene, limits)
@@ -271,11 +275,10 @@ def _phases(
     first: State,
     recording: Recording | None,
 ) -> "list[MotionPhase]":
-    from mbd_ros.optimal_control.held_limits import held_limits
+    from mbd_ros.optimal_control.defects import PhaseEquations, independent
+    from mbd_ros.optimal_control.limits import held_limits
     from mbd_ros.optimal_control.motion_phase import MotionPhase
-    from mbd_ros.optimal_control.phase_equations import PhaseEquations
-    from mbd_ros.optimal_control.traced_redundancy import independent
-    from mbd_ros.scene.runs.symbolic_parts import traced
+    from mbd_ros.scene.runs.compiling import traced
 
     scene, names, found = given.scene, list(task.parameters), list[MotionPhase]()
     begin, motion_file = first.t, task.recording.motion if task.recording else None

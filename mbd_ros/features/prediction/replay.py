@@ -6,11 +6,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.loads.input_sources import Polynomials, Source
-from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.loads.inputs import Polynomials, Source
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError
 from mbd_ros.features.prediction.modes import PhaseMode, simulation_of_phase
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.optimal_control.unknowns import PhaseMotion
 from mbd_ros.scene.built_scene import Scene
 

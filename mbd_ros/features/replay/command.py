@@ -4,7 +4,7 @@ import argparse
 
 from mbd_ros.errors import FAILED, OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
+from mbd_ros.jobs.progress import say
 from mbd_ros.scene.schema.locate import path_word
 
 

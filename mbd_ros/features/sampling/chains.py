@@ -1,16 +1,37 @@
-"""Chains in blocks: a block is a function of its number, whoever does it and wherever."""
+"""A scene and a task for it, and chains in blocks: a block is a function of its number."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from math import exp, sqrt
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.rows.constraint_rows import independent
 from mbd_ros.core.state import Array
-from mbd_ros.features.sampling.ensemble import Ensemble, Walkers
-from mbd_ros.features.sampling.langevin import Langevin
-from mbd_ros.features.sampling.metropolis import Metropolis
-from mbd_ros.features.sampling.random_streams import stream
+from mbd_ros.errors import SceneError
+from mbd_ros.features.sampling import observables
+from mbd_ros.features.sampling.components import random_starts, stream
+from mbd_ros.features.sampling.ensemble import (
+    Ensemble,
+    Langevin,
+    Metropolis,
+    Walkers,
+    kinetic_after_step,
+)
+from mbd_ros.features.sampling.mean_force import instant
+from mbd_ros.features.sampling.observables import Observable, coordinate
+from mbd_ros.features.sampling.particle_space import ParticleSpace
+from mbd_ros.features.sampling.sampled_scene import SampledScene, sampled_scene
+from mbd_ros.features.sampling.space import HeldSpace, WeightedSpace
+from mbd_ros.features.sampling.task import SampleTask
+from mbd_ros.jobs.progress import progress
+from mbd_ros.methods.particles.rigid_bonds import DistanceRow, PointRow
+from mbd_ros.scene.schema.nearest import nearest
+
+# ---- chains -----------------------------------------------------------------------------------
+# Chains in blocks: a block is a function of its number, whoever does it and wherever.
+
 
 METHODS = ("metropolis", "langevin")
 _LARGEST, _FEWEST = 256, 2  # chains of a block; blocks of a run with few chains
@@ -149,3 +170,313 @@ def gone_on(
         share += accepted
     end = Checkpoint(at.q, at.v, start.sweeps + plan.samples, start.dt)
     return Sampled(np.stack(values, axis=2), share / plan.samples, end)
+
+
+# ---- chain setup ------------------------------------------------------------------------------
+# A scene and a task for it: what a block of chains needs.
+
+
+# Words for quantities: `distance a b`, `cosine a b c`, a joint.
+
+_POINTS = {"distance": 2, "cosine": 3, "angle": 3, "dihedral": 4, "quadratic": 1}
+_FORMS = (
+    "distance A B, cosine A B C, angle A B C, dihedral A B C D, quadratic A wx wy wz, "
+    "A.x of particles"
+)
+DRIVEN = ("distance", "cosine", "angle", "quadratic")  # forces are averaged along these
+
+
+def quantity(text: str, scene: SampledScene, where: str, name: str = "") -> Observable:
+    """The quantity of some words.
+
+    Args:
+        text: The words.
+        scene: What is sampled.
+        where: File and key, for the messages.
+        name: As columns have it; by default that of the words.
+
+    Raises:
+        SceneError: Names what is wrong and what is accepted.
+    """
+    words = text.split()
+    if len(words) == 1:
+        return _coordinate(words[0], scene, where, name)
+    kind, rest = words[0] if words else "", words[1:]
+    if not scene.points or kind not in _POINTS:
+        accepted = _FORMS if scene.points else ", ".join(scene.space.names)
+        raise SceneError(f"{where}: '{text}' is no quantity, accepted: {accepted}")
+    count = _POINTS[kind]
+    numbers = rest[count:]
+    if len(rest) < count or len(numbers) != (3 if kind == "quadratic" else 0):
+        raise SceneError(f"{where}: '{text}', accepted: {_FORMS}")
+    points = [_point(word, scene, where) for word in rest[:count]]
+    if len(set(points)) < count:
+        raise SceneError(f"{where}: '{text}' names a particle twice")
+    label, unit = name or "_".join([kind, *rest[:count]]), scene.length
+    if kind == "distance":
+        return observables.distance(label, unit, *points)
+    if kind == "cosine":
+        return observables.cosine(label, *points)
+    if kind == "angle":
+        return observables.angle(label, *points)
+    if kind == "dihedral":
+        return observables.dihedral(label, points)
+    weights = [_number(word, text, where) for word in numbers]
+    return observables.quadratic(label, f"{unit}^2", points[0], weights)
+
+
+def _coordinate(word: str, scene: SampledScene, where: str, name: str) -> Observable:
+    names = list(scene.space.names)
+    if word not in names:
+        close = ", ".join(nearest(word, names) or names[:6])
+        raise SceneError(f"{where}: '{word}' is no quantity, the nearest: {close}")
+    if scene.points:
+        return observables.coordinate(name or word, scene.length, names.index(word))
+    return scene.defaults[names.index(word)]._replace(name=name or f"{word}.position")
+
+
+def _point(word: str, scene: SampledScene, where: str) -> int:
+    if word not in scene.points:
+        close = ", ".join(nearest(word, list(scene.points)) or scene.points[:6])
+        raise SceneError(f"{where}: there is no particle '{word}', the nearest: {close}")
+    return list(scene.points).index(word)
+
+
+def _number(word: str, text: str, where: str) -> float:
+    try:
+        found = float(word)
+    except ValueError:
+        found = float("nan")
+    if not abs(found) < 1.0e30:
+        raise SceneError(f"{where}: '{text}': '{word}' is no number")
+    return found
+
+
+# A row of particles as the coordinate along which forces are averaged.
+
+
+def row_swept(
+    space: ParticleSpace, name: str, unit: str
+) -> tuple[Observable, ParticleSpace] | None:
+    """What a row holds, and the space without that row; None where no row has the name.
+
+    Args:
+        space: The space.
+        name: Of a row of a molecule of which there is one.
+        unit: Word for its lengths.
+    """
+    first = 0
+    for k, kind in enumerate(space.kinds):
+        for row in kind.rows:
+            if kind.count == 1 and row.name == name:
+                rest = replace(kind, rows=tuple(one for one in kind.rows if one is not row))
+                kinds = [*space.kinds[:k], rest, *space.kinds[k + 1 :]]
+                return _held(row, first, unit), ParticleSpace(kinds, space.pair_forces)
+        first += kind.size
+    return None
+
+
+def _held(row: PointRow, first: int, unit: str) -> Observable:
+    if isinstance(row, DistanceRow):
+        return observables.distance(row.name, unit, first + row.i, first + row.j)
+    a, n, c = (part[:, None] for part in (row.squares, row.normal, row.center))
+
+    def of(x: Array) -> Array:
+        level: Array = ((a * (x - c) + n) * (x - c)).sum(axis=0)
+        return level
+
+    return Observable(row.name, "", observables.point(first + row.i), of)
+
+
+_STEPS_OF_POINTS, _STEPS_OF_JOINTS = 5, 20  # from sample to sample
+_WAY = 40  # steps in which a held quantity is brought to its value
+
+
+class Order(NamedTuple):
+    """A block of chains that is asked for.
+
+    Attributes:
+        number: Of the block among those of its value.
+        level: Value of the held quantity; None without one.
+        start: Where it goes on; None begins it.
+    """
+
+    number: int
+    level: float | None = None
+    start: Checkpoint | None = None
+
+
+class Asked:
+    """A scene, a task for it, and all that both give.
+
+    Args:
+        scene: The scene.
+        task: The task.
+        where: File and key of the task, for messages.
+
+    Raises:
+        SceneError: The task does not fit the scene.
+    """
+
+    def __init__(self, scene: Any, task: SampleTask, where: str) -> None:
+        self.scene, self.task, self.where = scene, task, where
+        self.sampled: SampledScene = sampled_scene(scene)
+        kT = task.thermal_energy
+        if kT is None:
+            kT = self.sampled.boltzmann * float(task.temperature or 0.0)
+        self.kT = kT
+        if task.method == "langevin" and not self.sampled.space.has_constant_masses:
+            raise SceneError(
+                f"{where}.method: langevin needs constant masses, those of a mechanism depend on "
+                "its configuration; accepted: metropolis"
+            )
+        if task.kinetics and not self.sampled.points:
+            raise SceneError(f"{where}.kinetics: is for particles")
+        self.quantities = self._quantities()
+        self.coordinate = None
+        if task.coordinate is not None:
+            self.coordinate = self._coordinate(task.coordinate)
+        self._swept = self.sampled.space  # along the coordinate
+        if not self._swept.has_constant_masses:
+            self._swept = WeightedSpace(self._swept, kT, fixman=task.fixman)
+        names = ("method", "chains", "samples", "warmup", "steps", "dt", "friction", "seed")
+        plan = {name: getattr(task, name) for name in names}
+        if task.steps is None:
+            plan["steps"] = _STEPS_OF_POINTS if self.sampled.points else _STEPS_OF_JOINTS
+        self.plan = Plan(**plan)
+
+    @property
+    def energies(self) -> tuple[str, ...]:
+        """Names of the energies of a sample, which stand before its quantities."""
+        own = ["energy.potential", "energy.kinetic"]
+        if self.task.kinetics:
+            parts = ("translation", "rotation", "internal")
+            kinds = [kind.name for kind in self.sampled.space.kinds]
+            own += [f"{kind}.{part}" for kind in kinds for part in parts]
+            own += ["energy.kinetic_rattle", "energy.kinetic_shake"]
+        return tuple(own)
+
+    @property
+    def columns(self) -> list[tuple[str, str]]:
+        """Names and units of all values of a sample."""
+        own = [(name, self.sampled.energy) for name in self.energies]
+        own += [(one.name, one.unit) for one in self.quantities]
+        if not self.sampled.points:
+            positions = self.sampled.defaults
+            own += [
+                (f"{name}.velocity", f"{one.unit}/s")
+                for name, one in zip(self.sampled.space.names, positions, strict=True)
+            ]
+        return own
+
+    def _quantities(self) -> tuple[Observable, ...]:
+        given = self.task.observe
+        if not given:
+            return self.sampled.defaults
+        where = f"{self.where}.observe"
+        return tuple(
+            quantity(text, self.sampled, f"{where}.{name}", name) for name, text in given.items()
+        )
+
+    def _coordinate(self, text: str) -> Observable:
+        where = f"{self.where}.coordinate"
+        if self.sampled.points:
+            swept = row_swept(self.sampled.space, text, self.sampled.length)
+            if swept is not None:
+                found, space = swept
+                self.sampled = replace(self.sampled, space=space)
+                return found
+        found = quantity(text, self.sampled, where)
+        if text.split()[0] not in DRIVEN and len(text.split()) > 1:
+            raise SceneError(f"{where}: '{text}', accepted: {', '.join(DRIVEN)}")
+        if self.sampled.points:
+            return found
+        stops = [part.name for part in self.scene.constraints if not part.law.is_rigid]
+        if stops:
+            raise SceneError(
+                f"{where}: stops push beside the mean force; accepted: a scene without "
+                f"{', '.join(stops)}"
+            )
+        (number,) = found.coordinates
+        return coordinate(found.name, found.unit, number)  # beyond one turn, too
+
+    def ensemble(self, level: float | None) -> Ensemble:
+        """The ensemble, with the coordinate held where a value is given."""
+        if level is None:
+            return Ensemble(self.sampled.space, self.kT, fixman=self.task.fixman)
+        assert self.coordinate is not None
+        return Ensemble(HeldSpace(self._swept, self.coordinate, level), self.kT)
+
+    def _instant(self, held: Ensemble, at: Walkers) -> Array:
+        space, fixman = self._swept, self.task.fixman
+        if isinstance(space, WeightedSpace):
+            return np.array(instant(held, at, space.gradient(at.q), fixman=False))
+        return np.array(instant(held, at, -space.force(at.q), fixman=fixman))
+
+    def done(self, order: Order) -> Sampled:
+        """A block of chains.
+
+        Raises:
+            DivergedError: A step does not end on the rows.
+            SceneError: A held value cannot be reached.
+        """
+        ensemble = self.ensemble(order.level)
+        start = order.start
+        if start is None:
+            chains = blocks_of(self.plan.chains)[order.number]
+            q = self._starts(ensemble, order, chains.stop - chains.start)
+            start = begun(ensemble, self.plan, order.number, q)
+
+        h = usual_step(ensemble) if self.plan.dt is None else self.plan.dt
+
+        def measure(at: Walkers) -> Array:
+            if order.level is not None:
+                return self._instant(ensemble, at)
+            own = [ensemble.space.potential(at.q), ensemble.kinetic(at.v)]
+            if self.task.kinetics:
+                own += [*self.sampled.space.kinetic_parts(at.q, at.v)]
+                own += [*kinetic_after_step(ensemble, at, h)]
+            own += [one.value(at.q) for one in self.quantities]
+            if not self.sampled.points:
+                own += [*self.sampled.space.velocities(at.q, at.v)]
+            return np.array(own)
+
+        return gone_on(ensemble, self.plan, order.number, start, measure, _shown)
+
+    def _starts(self, ensemble: Ensemble, order: Order, count: int) -> Array:
+        q = self.sampled.start
+        if order.level is not None:
+            q = self._brought(ensemble, order.level)
+        elif self.task.starts == "random":
+            seed = (self.plan.seed + 7919 * (order.number + 1)) % 2**63
+            found = random_starts(ensemble, q, count, seed)
+            if not found.shape[1]:
+                raise SceneError(f"{self.where}.starts: no random configuration closes the rows")
+            return found[:, np.arange(count) % found.shape[1]]
+        return np.repeat(q[:, None], count, axis=1)
+
+    def _brought(self, ensemble: Ensemble, level: float) -> Array:
+        """A configuration with a value of the held quantity, from the start of the scene."""
+        assert self.coordinate is not None
+        q = self.sampled.start[:, None]
+        (rows,) = ensemble.space.blocks
+        if len(independent(rows.jacobian(q)[:, :, 0])) < len(rows.rows):
+            raise SceneError(
+                f"{self.where}.coordinate: rows of the scene hold {self.coordinate.name} already; "
+                f"accepted: another quantity, or one of them: {', '.join(rows.rows[:-1])}"
+            )
+        first = float(self.coordinate.value(q)[0])
+        for share in np.linspace(0.0, 1.0, _WAY + 1)[1:]:
+            rows.level = first + share * (level - first)
+            with np.errstate(all="ignore"):
+                q, found = ensemble.manifold.close(ensemble.manifold.at(q), q)
+            if not found.all():
+                raise SceneError(
+                    f"{self.where}.at: {self.coordinate.name} cannot be brought from {first:g} to "
+                    f"{level:g}: it stops near {rows.level:g}"
+                )
+        return q[:, 0]
+
+
+def _shown(samples: range) -> Iterable[int]:
+    return progress(samples, len(samples), "sampling")

@@ -5,8 +5,8 @@ from typing import Any
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
-from mbd_ros.jobs.workers.arguments import add_workers
+from mbd_ros.jobs.progress import say
+from mbd_ros.jobs.workers.opening import add_workers
 from mbd_ros.scene.schema.locate import path_word
 
 _NUMBERS = (
@@ -68,8 +68,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.sampling.job import Where
-    from mbd_ros.features.sampling.to_file import sample_to
+    from mbd_ros.features.sampling.job import Where, sample_to
     from mbd_ros.scene.reader import load_any
 
     where = Where(arguments.workers, arguments.scheduler, arguments.goes_on, arguments.checkpoint)

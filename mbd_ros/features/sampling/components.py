@@ -1,4 +1,4 @@
-"""Parts of a manifold that no motion along the rows joins: chains that never meet."""
+"""Parts of a manifold that no motion along the rows joins."""
 
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -7,12 +7,99 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.sampling.ensemble import Ensemble
-from mbd_ros.features.sampling.feature_walk import arrives
-from mbd_ros.features.sampling.metropolis import Metropolis
+from mbd_ros.features.sampling.ensemble import Ensemble, Metropolis
 from mbd_ros.features.sampling.observables import Observable
-from mbd_ros.features.sampling.random_streams import stream
 from mbd_ros.features.sampling.space import Marks
+
+# ---- feature walk -----------------------------------------------------------------------------
+# Walks along rows towards the features of another configuration.
+
+
+_FEATURE_WALK_STEPS = 200
+_LONGEST = 0.02  # of the scale: change of a coordinate in a step
+_STRAIGHT = 0.2  # of a step: how far the rows may bend it; more is a jump to another branch
+_WEAK = 1.0e-6  # singular values beside the largest that count as none
+_ARRIVED = 0.03  # of the spread of features
+
+
+def arrives(
+    ensemble: Ensemble,
+    start: Array,
+    end: Array,
+    features: Sequence[Observable],
+    spread: Array,
+) -> Marks:
+    """Which walks come to the features of their ends, shape (walks,).
+
+    Steps are short, end on the rows and never cross a wall, so that one that arrives is a motion.
+
+    Args:
+        ensemble: Whose rows and walls count.
+        start: Configurations, shape (size, walks).
+        end: Configurations with the features that are looked for.
+        features: Quantities.
+        spread: Their usual size, > 0.
+    """
+    wanted = np.array([one.value(end) for one in features]) / spread[:, None]
+    q, longest = start, _LONGEST * ensemble.space.scale
+    there, walks = np.zeros(start.shape[1], dtype=np.bool_), np.arange(start.shape[1])
+    with np.errstate(all="ignore"):
+        for _ in range(_FEATURE_WALK_STEPS):
+            left = wanted - np.array([one.value(q) for one in features]) / spread[:, None]
+            is_there = np.abs(left).max(axis=0) < _ARRIVED
+            there[walks[is_there]] = True
+            goes = ~is_there
+            q, wanted, left, walks = q[:, goes], wanted[:, goes], left[:, goes], walks[goes]
+            if not len(walks):
+                break
+            q, found = _stepped(ensemble, q, left, features, spread, longest)
+            q, wanted, walks = q[:, found], wanted[:, found], walks[found]
+    return there
+
+
+def _stepped(
+    ensemble: Ensemble,
+    q: Array,
+    left: Array,
+    features: Sequence[Observable],
+    spread: Array,
+    longest: float,
+) -> tuple[Array, Marks]:
+    """A step of Gauss and Newton along the rows, and where there is one."""
+    manifold = ensemble.manifold
+    places = manifold.at(q)
+    slopes = np.array([manifold.project(places, one.gradient(q)) for one in features])
+    slopes /= spread[:, None, None]
+    inverse = np.linalg.pinv(np.nan_to_num(slopes).transpose(2, 0, 1), rcond=_WEAK)
+    step = manifold.project(places, np.einsum("bik,kb->ib", inverse, left))
+    size = np.abs(step).max(axis=0)
+    step *= np.minimum(1.0, longest / np.maximum(size, 1.0e-300))
+    there, found = manifold.close(places, q + step)
+    bent = np.abs(there - q - step).max(axis=0)
+    found &= bent <= _STRAIGHT * np.minimum(size, longest)
+    return there, found & np.isfinite(ensemble.space.potential(there))
+
+
+# ---- random streams ---------------------------------------------------------------------------
+# Random numbers as a function of seed, stream and index.
+
+
+def stream(seed: int, number: int, index: int) -> np.random.Generator:
+    """The generator of one index of one stream; what was drawn before does not matter.
+
+    Args:
+        seed: >= 0.
+        number: Of the stream, as that of a block of chains.
+        index: In the stream, as that of a sweep.
+    """
+    key = np.array([seed, number], dtype=np.uint64)
+    counter = np.array([0, 0, 0, index], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=counter))
+
+
+# ---- components -------------------------------------------------------------------------------
+# Parts of a manifold that no motion along the rows joins: chains that never meet.
+
 
 _PROBES, _SWEEPS, _STEPS = 24, 130, 5
 _SHORT = 0.03  # of the scale: a step, too short to jump from one branch to another

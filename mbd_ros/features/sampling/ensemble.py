@@ -1,12 +1,18 @@
-"""The canonical ensemble of a space: its energy, its forces, and steps of RATTLE in it."""
+"""The canonical ensemble of a space: Langevin and Metropolis steps."""
 
+from math import exp, sqrt
 from typing import NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import redundant
+from mbd_ros.errors import DivergedError
 from mbd_ros.features.sampling.manifold import Manifold, Place
 from mbd_ros.features.sampling.space import Marks, Space
+
+# ---- ensemble ---------------------------------------------------------------------------------
+# The canonical ensemble of a space: its energy, its forces, and steps of RATTLE in it.
 
 
 class Walkers(NamedTuple):
@@ -100,3 +106,207 @@ class Ensemble:
         v = (q - at.q) / h + (0.5 * h / self._mass) * force
         now = Walkers(q, self.manifold.project(places, v), places, force, at.whole & whole)
         return now, v
+
+
+# ---- langevin ---------------------------------------------------------------------------------
+# Langevin dynamics along rows.
+
+
+class Langevin:
+    """The splitting g-BAOAB: kick, move, friction and noise, move, kick.
+
+    Its configurations have an error of second order in dt; velocities of every step are along the
+    rows.
+
+    Source: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 2016, 20160138.
+
+    Args:
+        ensemble: The ensemble; masses of its space are constant.
+        dt: Step.
+        friction: Rate at which velocities are forgotten, >= 0.
+    """
+
+    def __init__(self, ensemble: Ensemble, dt: float, friction: float) -> None:
+        self._ensemble, self.dt = ensemble, dt
+        self._kept = exp(-friction * dt)
+        self._new = sqrt(1.0 - self._kept**2)
+
+    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
+        """Some steps.
+
+        Args:
+            at: States of the chains.
+            random: Of this sweep.
+            steps: How many.
+
+        Returns:
+            States, and which of them were accepted: all, shape (chains,).
+
+        Raises:
+            DivergedError: A step does not end on the rows.
+        """
+        ensemble, h = self._ensemble, self.dt
+        for _ in range(steps):
+            at = ensemble.move(ensemble.kick(at, 0.5 * h), 0.5 * h)
+            noise = ensemble.drawn(random, at.places, at.q.shape[1])
+            at = ensemble.move(at._replace(v=self._kept * at.v + self._new * noise), 0.5 * h)
+            at = at._replace(force=ensemble.force(at.q, at.places))
+            at = ensemble.kick(at, 0.5 * h)
+            if not at.whole.all():
+                raise DivergedError(
+                    f"langevin: no step of {h:g} ends on the rows in {(~at.whole).sum()} of "
+                    f"{at.whole.size} chains; try a smaller dt, or the method metropolis"
+                )
+        return at, at.whole
+
+
+# ---- metropolis -------------------------------------------------------------------------------
+# Steps of RATTLE that are accepted or not: exact whatever their length.
+
+
+_BACK = 1.0e-8  # of the scale: how near a step back has to come
+_VARIED = 0.2  # of the step, so that no motion comes back to its start
+
+
+class Metropolis:
+    """New velocities, some steps of RATTLE, and a decision.
+
+    A step counts only where the step back leads to its start: the equations for the multipliers
+    may have several solutions, and one that the step back does not find would make the sample
+    wrong.
+
+    Sources: E. Zappa, M. Holmes-Cerfon, J. Goodman, Comm. Pure Appl. Math. 71, 2018, 2609;
+    T. Lelievre, M. Rousset, G. Stoltz, Numer. Math. 143, 2019, 379.
+
+    Args:
+        ensemble: The ensemble.
+        dt: Step.
+    """
+
+    def __init__(self, ensemble: Ensemble, dt: float) -> None:
+        self._ensemble, self.dt = ensemble, dt
+
+    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
+        """One proposal for every chain.
+
+        Args:
+            at: States of the chains.
+            random: Of this sweep.
+            steps: Steps of RATTLE.
+
+        Returns:
+            States with new velocities, and which proposals were accepted, shape (chains,).
+        """
+        ensemble, chains = self._ensemble, at.q.shape[1]
+        h = self.dt * random.uniform(1.0 - _VARIED, 1.0 + _VARIED)
+        at = at._replace(v=ensemble.drawn(random, at.places, chains))
+        chosen = random.random(chains)
+        there = at._replace(whole=np.ones(chains, dtype=np.bool_))
+        with np.errstate(all="ignore"):
+            before = self._total(at)
+            for _ in range(steps):
+                there = self._stepped(there, h)
+            rise = self._total(there) - before
+            accepted: Marks = there.whole & (chosen < np.exp(np.minimum(-rise / ensemble.kT, 0.0)))
+        return _chosen(accepted, there, at), accepted
+
+    def _total(self, at: Walkers) -> Array:
+        total: Array = self._ensemble.energy(at.q, at.places) + self._ensemble.kinetic(at.v)
+        return total
+
+    def _stepped(self, at: Walkers, h: float) -> Walkers:
+        ensemble = self._ensemble
+        there, _ = ensemble.step(at, h)
+        if not ensemble.manifold.parts:
+            return there
+        back = there.q - h * (there.v - (0.5 * h / ensemble.space.mass[:, None]) * there.force)
+        back, whole = ensemble.manifold.close(there.places, back)
+        near = np.abs(back - at.q).max(axis=0) <= _BACK * ensemble.space.scale
+        return there._replace(whole=there.whole & whole & near)
+
+
+def _chosen(taken: Marks, there: Walkers, here: Walkers) -> Walkers:
+    """The states of `there` for some chains, those of `here` for the others."""
+    places = [
+        type(a)(*(_taken(taken, *pair) for pair in zip(a, b, strict=True)))
+        for a, b in zip(there.places, here.places, strict=True)
+    ]
+    q, v, force = (
+        np.where(taken, a, b)
+        for a, b in ((there.q, here.q), (there.v, here.v), (there.force, here.force))
+    )
+    return Walkers(q, v, places, force, np.ones(len(taken), dtype=np.bool_))
+
+
+def _taken(taken: Marks, there: Array, here: Array) -> Array:
+    copies = there.shape[-1] // len(taken)
+    return np.where(np.tile(taken, copies), there, here)
+
+
+# ---- counting ---------------------------------------------------------------------------------
+# Degrees of freedom, temperatures, and how molecules divide their kinetic energy.
+
+
+def degrees_of_freedom(space: Space, q: Array, conserved: int = 0) -> int:
+    """Number of coordinates less the rank of the rows and what else is conserved.
+
+    Args:
+        space: The space.
+        q: A configuration, shape (size,).
+        conserved: Momenta that nothing changes: 3 where the centre of mass keeps its velocity.
+    """
+    rank = 0
+    for block in space.blocks:
+        at = block.coordinates
+        x = q[:, None] if at is None else q[at]
+        mass = space.mass[:, None] if at is None else space.mass[at]
+        J = np.moveaxis(block.jacobian(x) / np.sqrt(mass), 2, 0)
+        sizes = np.linalg.svd(J, compute_uv=False)
+        least = np.sqrt(redundant(sizes.shape[1])) * sizes[:, :1]
+        rank += int(np.count_nonzero(sizes > least))
+    return space.size - rank - conserved
+
+
+def temperature(kinetic: Array, degrees: int, boltzmann: float) -> Array:
+    """2 K / (f k), shape as `kinetic`."""
+    found: Array = kinetic * (2.0 / (degrees * boltzmann))
+    return found
+
+
+def kinetic_parts(masses: Array, x: Array, v: Array) -> Array:
+    """Kinetic energy of translation, rotation and what is left of molecules, shape (3, n).
+
+    Rotation is L . I^-1 L / 2 about the centre of mass, with the angular momentum and the inertia
+    of the instant: a frame that is tied to one bond counts other motion as rotation.
+
+    Args:
+        masses: Shape (atoms,).
+        x: Positions, shape (atoms, 3, n).
+        v: Velocities.
+    """
+    m, total = masses[:, None, None], float(masses.sum())
+    V = (m * v).sum(axis=0) / total
+    r, w = x - (m * x).sum(axis=0) / total, v - V
+    L = (m * np.cross(r, w, axis=1)).sum(axis=0)
+    unit = np.eye(3)[:, :, None]
+    inertia = (m * r * r).sum(axis=(0, 1)) * unit - np.einsum("a,acn,adn->cdn", masses, r, r)
+    inverse = np.linalg.pinv(inertia.transpose(2, 0, 1), rcond=1.0e-9, hermitian=True)
+    translation = 0.5 * total * (V * V).sum(axis=0)
+    rotation = 0.5 * np.einsum("cn,ncd,dn->n", L, inverse, L)
+    kinetic = 0.5 * np.einsum("a,acn,acn->n", masses, v, v)
+    return np.array([translation, rotation, kinetic - translation - rotation])
+
+
+def kinetic_after_step(ensemble: Ensemble, at: Walkers, h: float) -> Array:
+    """Kinetic energy after a step, as RATTLE and as SHAKE leave it, shape (2, chains).
+
+    SHAKE's velocities keep a part normal to the rows, -h/2 M^-1 J' lam, which carries the energy
+    h^2/8 f . M^-1 f, f = J' lam.
+
+    Args:
+        ensemble: The ensemble.
+        at: States before the step.
+        h: The step.
+    """
+    after, unprojected = ensemble.step(at, h)
+    return np.array([ensemble.kinetic(after.v), ensemble.kinetic(unprojected)])

@@ -1,5 +1,6 @@
 """Ensembles of a scene: `mbd-ros sample`."""
 
+import base64
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,22 +9,130 @@ from zipfile import BadZipFile
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError, SceneError
+from mbd_ros.errors import DataError, DivergedError, SceneError
 from mbd_ros.features.sampling import tables
-from mbd_ros.features.sampling.averages import Average, average, histogram
-from mbd_ros.features.sampling.blocks import blocks_done
-from mbd_ros.features.sampling.chain_setup import Asked, Order
-from mbd_ros.features.sampling.chains import Checkpoint, Sampled, blocks_of
+from mbd_ros.features.sampling.chains import Asked, Checkpoint, Order, Sampled, blocks_of
 from mbd_ros.features.sampling.components import components
-from mbd_ros.features.sampling.counting import degrees_of_freedom
-from mbd_ros.features.sampling.mean_force import free_energy, mean_force
+from mbd_ros.features.sampling.ensemble import degrees_of_freedom
+from mbd_ros.features.sampling.mean_force import (
+    Average,
+    average,
+    free_energy,
+    histogram,
+    mean_force,
+)
 from mbd_ros.features.sampling.task import SampleTask, sample_task
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.formats import PICTURES, format_of, suffix_of
+from mbd_ros.files.replacing import check_place, refuse_overwriting, replacing
 from mbd_ros.files.table import MAIN, Result
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.jobs.progress import Say, Watch, watching
+from mbd_ros.jobs.result_files import write_tables
+from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
+from mbd_ros.jobs.workers.task import Task
 from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.scene.reader import load_any
 from mbd_ros.scene.task_reader import read_task
+
+# ---- blocks -----------------------------------------------------------------------------------
+# Blocks of chains, done here or by workers: the same bits wherever.
+
+
+# Arrays as JSON holds them, to the bit: what goes to workers and comes back.
+
+
+def listed(done: Sampled) -> dict[str, Any]:
+    """What a block of chains gave."""
+    return {
+        "values": _packed(done.values),
+        "accepted": _packed(done.accepted),
+        "end": listed_checkpoint(done.end),
+    }
+
+
+def received(value: Mapping[str, Any]) -> Sampled:
+    """The same back."""
+    values, accepted = (_unpacked(value[key]) for key in ("values", "accepted"))
+    return Sampled(values, accepted, checkpoint(value["end"]))
+
+
+def listed_checkpoint(one: Checkpoint) -> list[Any]:
+    """Where a block of chains stands."""
+    return [_packed(one.q), _packed(one.v), one.sweeps, one.dt]
+
+
+def checkpoint(listed: Sequence[Any]) -> Checkpoint:
+    """The same back."""
+    q, v, sweeps, dt = listed
+    return Checkpoint(_unpacked(q), _unpacked(v), sweeps, dt)
+
+
+def _packed(values: Array) -> list[Any]:
+    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
+    return [list(values.shape), base64.b64encode(data).decode()]
+
+
+def _unpacked(packed: Sequence[Any]) -> Array:
+    shape, data = packed
+    return np.frombuffer(base64.b64decode(data), dtype="<f8").reshape(shape).copy()
+
+
+def blocks_done(
+    asked: Asked, orders: Sequence[Order], workers: int | None, scheduler: str | None
+) -> list[Sampled]:
+    """Blocks of chains, in the order of `orders`, here or by workers.
+
+    Raises:
+        DataError: A worker has failed.
+        MbdError: As `Asked.done`.
+    """
+    scene = asked.scene
+    alone = scene.path is None or getattr(scene, "code", False) or len(orders) < 2
+    if alone or (workers == 1 and scheduler is None):
+        return [asked.done(order) for order in orders]
+    entries = _entries(asked.task)
+    tasks = [
+        Task(str(i), f"{__name__}:do", {"scene": str(scene.path), "task": entries} | _sent(order))
+        for i, order in enumerate(orders)
+    ]
+    with open_workers(scheduler, workers) as opened:
+        done = {t.name: r for t, r in watched(do_all(opened, tasks), tasks, opened.count)}
+    for task in tasks:
+        failure = done[task.name].failure
+        if failure:
+            raise _failed(failure)
+    return [received(done[task.name].value) for task in tasks]
+
+
+def do(sent: Mapping[str, Any]) -> dict[str, Any]:
+    """A block of chains in a worker."""
+    asked = Asked(load_any(sent["scene"]), sample_task(sent["task"], "sample"), "sample")
+    start = None if sent["start"] is None else checkpoint(sent["start"])
+    return listed(asked.done(Order(sent["number"], sent["level"], start)))
+
+
+def _failed(failure: str) -> Exception:
+    kind, _, text = failure.partition(": ")
+    kinds = {"DivergedError": DivergedError, "SceneError": SceneError}
+    return kinds[kind](text.rpartition(" (")[0]) if kind in kinds else DataError(failure)
+
+
+def _entries(task: SampleTask) -> dict[str, Any]:
+    entries = {key: value for key, value in vars(task).items() if value is not None}
+    entries["observe"], entries["histograms"] = dict(task.observe), {}
+    entries["at"] = list(task.at)
+    if task.coordinate is None:
+        del entries["at"]
+    return entries
+
+
+def _sent(order: Order) -> dict[str, Any]:
+    start = None if order.start is None else listed_checkpoint(order.start)
+    return {"number": order.number, "level": order.level, "start": start}
+
+
+# ---- job --------------------------------------------------------------------------------------
+# Ensembles of a scene: `mbd-ros sample`.
+
 
 # Where chains stand, as a .npz: from there a run goes on with the same bits.
 
@@ -285,3 +394,59 @@ def _profile(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
         )
     table = tables.profile_table(coordinate.name, units, forces, profile)
     return {MAIN: table, tables.PROFILE: table}
+
+
+# ---- to file ----------------------------------------------------------------------------------
+# Ensembles into files: `mbd-ros sample`.
+
+
+def sample_to(
+    scene: Any,
+    task: Path | None,
+    changed: Mapping[str, Any],
+    out: Path | None,
+    plot: Path | None,
+    say: Say,
+    where: Where,
+) -> None:
+    """Sample an ensemble, and write it where a place is given.
+
+    Args:
+        scene: The scene.
+        task: Task file; None for entries alone.
+        changed: Entries of the section `sample` that replace those of the file.
+        out: Where samples go; its suffix chooses the format.
+        plot: Where a picture goes.
+        say: Is told what was found, a line each.
+        where: Where chains are sampled.
+
+    Raises:
+        MbdError: As `sample`, or a place that cannot be written to.
+    """
+    for place in filter(None, (out, plot, where.checkpoint)):
+        refuse_overwriting(place, task, scene.path)
+        check_place(place)
+    if plot is not None and suffix_of(plot) not in PICTURES:
+        raise SceneError(f"--plot {plot}: accepted are {', '.join(PICTURES)}")
+    if out is not None:
+        format_of(out)
+    entries, name = _entries_of(scene, task), "sample" if task is None else f"{task}: sample"
+    asked = Asked(scene, sample_task({**entries, **changed}, name), name)
+    result = run_sample(asked, say, where)
+    if out is not None:
+        write_tables(result, out, say)
+    if plot is not None:
+        from mbd_ros.features.sampling.pictures import picture_of
+        from mbd_ros.files.plot import save
+
+        save(picture_of(result), plot)
+        say(f"picture -> {plot}")
+
+
+def _entries_of(scene: Any, task: Path | None) -> dict[str, Any]:
+    if task is None:
+        return {}
+    entries = read_task(task, scene).entries
+    if "sample" not in entries:
+        raise SceneError(f"{task}: has no section sample")
+    return dict(entries["sample"])

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.rows.independent_rows import independent
+from mbd_ros.core.rows.constraint_rows import independent
 from mbd_ros.core.state import NONE, Array, State
 
 _SCALE = 1.0  # rad or m

@@ -5,8 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.sampling.small_matrices import inverse, log_determinant, solve
-from mbd_ros.features.sampling.space import Block, Marks, Space
+from mbd_ros.features.sampling.space import Block, Marks, Space, inverse, log_determinant, solve
 
 _CLOSED = 1.0e-13  # of the scale: distance from the rows at which a step ends
 _KEPT = 1.0e-11  # of the scale: what rounding may leave open far from the origin

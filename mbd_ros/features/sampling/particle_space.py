@@ -4,12 +4,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.particles.molecules import Molecules
-from mbd_ros.core.particles.particle_system import PairForces
-from mbd_ros.core.particles.row_geometry import DistanceRow, PointRow, SurfaceRow
-from mbd_ros.core.rows.independent_rows import independent
+from mbd_ros.core.rows.constraint_rows import independent
 from mbd_ros.core.state import Array
-from mbd_ros.features.sampling.counting import kinetic_parts
+from mbd_ros.features.sampling.ensemble import kinetic_parts
+from mbd_ros.methods.particles.molecules import Molecules
+from mbd_ros.methods.particles.particle_system import PairForces
+from mbd_ros.methods.particles.rigid_bonds import DistanceRow, PointRow, SurfaceRow
 
 
 class MoleculeRows:

@@ -7,6 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
+from mbd_ros.features.sampling.observables import Observable
+
+# ---- space ------------------------------------------------------------------------------------
+# What is sampled: configurations of many chains at once, their rows and their energy.
+
 
 Marks = NDArray[np.bool_]
 
@@ -76,3 +81,194 @@ class Space(Protocol):
             q: Configurations.
             fixman: Whether rows are the limit of stiff springs.
         """
+
+
+# ---- held space -------------------------------------------------------------------------------
+# A space in which one quantity is held, beside the rows that it has.
+
+
+class HeldRows:
+    """All rows of a space and, last, that of the held quantity.
+
+    Args:
+        space: The space.
+        held: The quantity.
+        level: Its value.
+
+    Attributes:
+        coordinates: None: all of them.
+        copies: 1.
+        rows: Names.
+    """
+
+    coordinates = None
+    copies = 1
+
+    def __init__(self, space: Space, held: Observable, level: float) -> None:
+        self._blocks, self._held, self.level = space.blocks, held, level
+        names = [row for block in space.blocks for _ in range(block.copies) for row in block.rows]
+        self.rows: Sequence[str] = (*names, held.name)
+
+    def residual(self, x: Array) -> Array:
+        """g, shape (m, n)."""
+        parts = []
+        for block in self._blocks:
+            at, n = block.coordinates, x.shape[1]
+            g = block.residual(x if at is None else x[at].reshape(len(at), -1))
+            parts.append(g.reshape(-1, n))
+        return np.vstack((*parts, self._held.value(x) - self.level))
+
+    def jacobian(self, x: Array) -> Array:
+        """dg/dx, shape (m, size, n)."""
+        size, n, first = *x.shape, 0
+        J = np.zeros((len(self.rows), size, n))
+        for block in self._blocks:
+            at, m = block.coordinates, len(block.rows)
+            if at is None:
+                J[first : first + m] = block.jacobian(x)
+            else:
+                own = block.jacobian(x[at].reshape(len(at), -1))
+                own = own.reshape(m, len(at), block.copies, n)
+                for copy in range(block.copies):
+                    rows = first + copy + block.copies * np.arange(m)
+                    J[rows[:, None], at[None, :, copy]] = own[:, :, copy]
+            first += m * block.copies
+        J[-1] = self._held.gradient(x)
+        return J
+
+
+class HeldSpace:
+    """See the module and `space.Space`.
+
+    Args:
+        space: The space, with constant masses.
+        held: The quantity.
+        level: Its value.
+    """
+
+    has_constant_masses = True
+
+    def __init__(self, space: Space, held: Observable, level: float) -> None:
+        self.names, self.size, self.mass = space.names, space.size, space.mass
+        self.scale, self.potential, self.force = space.scale, space.potential, space.force
+        self.volume = space.volume
+        self.blocks = (HeldRows(space, held, level),)
+
+
+# ---- weighted space ---------------------------------------------------------------------------
+# A space whose density of configurations stands in its potential, so that masses are constant.
+
+
+_APART = 1.0e-5  # of the scale: steps of differences
+
+
+class WeightedSpace:
+    """A space with the potential V - kT ln(density); see `space.Space`.
+
+    With the constant masses its configurations have the density that they have with those of the
+    kinetic energy, so that what holds for constant masses holds for it.
+
+    Args:
+        space: The space, without walls.
+        kT: Thermal energy, in the unit of its energies.
+        fixman: Whether rows are the limit of stiff springs.
+    """
+
+    has_constant_masses = True
+
+    def __init__(self, space: Space, kT: float, *, fixman: bool) -> None:
+        self._space, self._kT, self._fixman = space, kT, fixman
+        self.names, self.size, self.mass = space.names, space.size, space.mass
+        self.scale, self.blocks = space.scale, space.blocks
+        self.force = space.force
+
+    def potential(self, q: Array) -> Array:
+        """V - kT ln(density), shape (chains,)."""
+        space = self._space
+        return space.potential(q) - self._kT * space.volume(q, fixman=self._fixman)
+
+    def gradient(self, q: Array) -> Array:
+        """Gradient of `potential` by central differences, shape (size, chains).
+
+        `force` leaves the density out: it leads steps, which are accepted or not.
+        """
+        found, h = np.empty(q.shape), _APART * self.scale
+        for i in range(self.size):
+            ahead, behind = q.copy(), q.copy()
+            ahead[i] += h
+            behind[i] -= h
+            found[i] = (self.potential(ahead) - self.potential(behind)) / (2.0 * h)
+        return found
+
+    def volume(self, q: Array, *, fixman: bool) -> Array:
+        """0: nothing is left for it, shape (chains,)."""
+        return np.zeros(q.shape[1])
+
+
+# ---- small matrices ---------------------------------------------------------------------------
+# Many small matrices at once, those of one chain after the other along the last axis.
+
+
+_LOOPED = 4  # rows up to which a loop over them costs less than a call a matrix
+
+
+def solve(A: Array, b: Array) -> Array:
+    """A^-1 b by elimination without exchange of rows; not finite where a pivot is 0.
+
+    The matrices here are Gram matrices of rows or near them, for which that is stable.
+
+    Args:
+        A: Shape (m, m, n).
+        b: Shape (m, n) or (m, k, n).
+
+    Returns:
+        Shape as `b`.
+    """
+    m = len(A)
+    if m > _LOOPED:
+        try:
+            if b.ndim == 2:
+                one: Array = np.linalg.solve(A.transpose(2, 0, 1), b.T[:, :, None])[:, :, 0].T
+                return one
+            many: Array = np.linalg.solve(A.transpose(2, 0, 1), b.transpose(2, 0, 1))
+            return many.transpose(1, 2, 0)
+        except np.linalg.LinAlgError:  # one of them is singular: the others count
+            pass
+    A, x = A.copy(), b.copy()
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        for i in range(m):
+            for j in range(i + 1, m):
+                share = A[j, i] / A[i, i]
+                A[j, i + 1 :] -= share * A[i, i + 1 :]
+                x[j] -= share * x[i]
+        for i in reversed(range(m)):
+            for j in range(i + 1, m):
+                x[i] -= A[i, j] * x[j]
+            x[i] /= A[i, i]
+    return x
+
+
+def log_determinant(A: Array) -> Array:
+    """Logarithms of determinants of symmetric matrices, shape (n,); -inf where det A <= 0.
+
+    Args:
+        A: Shape (m, m, n).
+    """
+    m = len(A)
+    if m > _LOOPED:
+        sign, size = np.linalg.slogdet(A.transpose(2, 0, 1))
+        return np.where(sign > 0.0, size, -np.inf)
+    A, found = A.copy(), np.zeros(A.shape[2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for i in range(m):
+            for j in range(i + 1, m):
+                A[j, i + 1 :] -= A[j, i] / A[i, i] * A[i, i + 1 :]
+            found += np.log(np.maximum(A[i, i], 0.0))
+    return np.where(np.isnan(found), -np.inf, found)
+
+
+def inverse(A: Array) -> Array:
+    """A^-1, shape (m, m, n), of matrices as for `solve`."""
+    unit = np.zeros(A.shape)
+    unit[np.arange(len(A)), np.arange(len(A))] = 1.0
+    return solve(A, unit)

@@ -5,8 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.sampling.averages import Average, Histogram
-from mbd_ros.features.sampling.mean_force import MeanForce, Profile
+from mbd_ros.features.sampling.mean_force import Average, Histogram, MeanForce, Profile
 from mbd_ros.files.table import Column, Table
 
 AVERAGES, HISTOGRAM, CHAINS, PROFILE = "averages", "histogram.", "chains", "profile"

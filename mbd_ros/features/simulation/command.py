@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
-from mbd_ros.jobs.lines import say
-from mbd_ros.jobs.workers.arguments import add_workers
+from mbd_ros.jobs.progress import say
+from mbd_ros.jobs.workers.opening import add_workers
 from mbd_ros.scene.schema.locate import path_word
 
 if TYPE_CHECKING:
@@ -85,7 +85,7 @@ def _add_tables(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.simulation.to_file import simulate_to
+    from mbd_ros.features.simulation.job import simulate_to
     from mbd_ros.scene.reader import is_of_particles, load_any
 
     scene = load_any(arguments.scene)

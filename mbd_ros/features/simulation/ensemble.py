@@ -7,7 +7,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.kinematics.free_bases import configuration_of
+from mbd_ros.compiled.build.compiler import cores
+from mbd_ros.core.kinematics.poses import configuration_of
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError, SceneError
 from mbd_ros.features.simulation.job import Interrupted
@@ -15,11 +16,10 @@ from mbd_ros.features.simulation.run import Run, check_words
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.table import MAIN, RUN, TIME, Column, Result, Table
 from mbd_ros.files.tables.csv import Numbers, read_table
-from mbd_ros.files.times import RUN, TIME
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.workers.opening import cores, do_all, open_workers
+from mbd_ros.jobs.progress import Say
+from mbd_ros.jobs.workers.opening import do_all, open_workers
 from mbd_ros.jobs.workers.task import Result as Done
 from mbd_ros.jobs.workers.task import Task
 from mbd_ros.motion.columns import body_columns, joint_columns, whole_bodies
@@ -27,8 +27,7 @@ from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.numbers import found_place, places_of
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.runs.batch import Batch
-from mbd_ros.scene.runs.batch_runs import Runs
+from mbd_ros.scene.runs.batch import Batch, Runs
 
 # The rows of an ensemble: where each run starts, and with which numbers.
 

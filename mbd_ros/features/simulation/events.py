@@ -4,14 +4,12 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from mbd_ros.core.dynamics.phase_queries import phase_names
-from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.events.event import Event
-from mbd_ros.core.names import without_multiplier
-from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.contracts import without_multiplier
+from mbd_ros.core.dynamics.system import System, phase_names
 from mbd_ros.core.state import Array, State
-from mbd_ros.files.table import Column, Table
-from mbd_ros.files.times import TIME
+from mbd_ros.files.table import TIME, Column, Table
+from mbd_ros.methods.events.event import Event
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.motion.columns import body_columns, joint_columns, whole_bodies
 from mbd_ros.motion.state_table import PHASE
 

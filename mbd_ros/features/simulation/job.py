@@ -1,44 +1,51 @@
-"""Forward simulation of a scene."""
+"""Forward simulation of a scene, into files: `mbd-ros simulate`."""
 
 import math
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.phase_queries import phase_names
+from mbd_ros.core.dynamics.system import phase_names
+from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.ranges import SHORTEST_DT
-from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.thresholds import SAME_TIME
-from mbd_ros.errors import FAILED, DataError, DivergedError, MbdError, SolveError
+from mbd_ros.core.thresholds import SAME_TIME, TOGGLE
+from mbd_ros.errors import FAILED, INTERRUPTED, DataError, DivergedError, MbdError, SolveError
+from mbd_ros.features.simulation.checks import step_warnings
 from mbd_ros.features.simulation.events import EVENTS, event_table
-from mbd_ros.features.simulation.inputs import drives, initial_state
-from mbd_ros.features.simulation.run import Run, check_words, options_of
-from mbd_ros.features.simulation.step_check import step_warnings
-from mbd_ros.files.table import MAIN, Result, Table
-from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, announce, watching
+from mbd_ros.features.simulation.run import (
+    Run,
+    check_stamps,
+    check_words,
+    drives,
+    initial_state,
+    options_of,
+)
+from mbd_ros.files.formats import FOLDER, format_of, suffix_of
+from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.table import MAIN, TIME, Result, Table
+from mbd_ros.jobs.arguments import about
+from mbd_ros.jobs.progress import Say, Watch, announce, watching
 from mbd_ros.jobs.progress import progress as shown
+from mbd_ros.methods.integration.stepping import BlockStepper
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.motion.recordings import Source
 from mbd_ros.motion.result_metadata import metadata_of
-from mbd_ros.motion.state_table import table_of, topics_of
+from mbd_ros.motion.state_table import BALANCE, table_of, topics_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
 
 if TYPE_CHECKING:
     from mbd_ros.core.complementarity.contact_problem import Residuals
 
-from collections.abc import Iterator
 
-from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.integration.blocks import BlockStepper
-from mbd_ros.core.thresholds import TOGGLE
-from mbd_ros.files.times import TIME
-from mbd_ros.motion.state_table import BALANCE
+# ---- job --------------------------------------------------------------------------------------
+# Forward simulation of a scene.
+
 
 # What a simulation did, in lines for people.
 
@@ -204,7 +211,7 @@ def _say_windows(scene: Scene, simulation: Simulation, states: Sequence[State], 
     """Say what is to be said of contacts that give way, also where the motion diverged."""
     parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
     if parts and states:
-        from mbd_ros.features.simulation.window_check import window_words
+        from mbd_ros.features.simulation.checks import window_words
 
         for text in window_words(simulation, parts, states):
             say(text)
@@ -271,6 +278,90 @@ def _with_residuals(table: Table, found: "list[Residuals]") -> tuple[Table, list
     """The table with residuals of contacts, if there are any, and a line on them."""
     if not found:
         return table, []
-    from mbd_ros.features.simulation.residuals import residual_line, with_residuals
+    from mbd_ros.features.simulation.checks import residual_line, with_residuals
 
     return with_residuals(table, found), [residual_line(found)]
+
+
+# ---- to file ----------------------------------------------------------------------------------
+# A simulation into files: `mbd-ros simulate`.
+
+
+def simulate_to(scene: Scene, run: Run, out: Path, say: Say, events: Path | None = None) -> None:
+    """Simulate and write the result.
+
+    Args:
+        scene: The scene.
+        run: The order.
+        out: Its suffix chooses the format.
+        say: Is called with each line of the summary.
+        events: Where the table of events goes by itself.
+
+    Raises:
+        Interrupted: The simulation ended early, by Ctrl-C too; the states so far are in the file
+            of `diverged_place`, named in the message.
+        MbdError: Input that cannot be used, or a place that cannot be written to.
+    """
+    places = [out] if events is None else [out, events]
+    sources = [source for source in (run.origin, run.efforts, run.wrenches) if source is not None]
+    for place in (*places, *map(diverged_place, places)):
+        refuse_overwriting(place, *(s for s in sources if isinstance(s, Path)))
+    check_stamps(scene, run, out)
+    for place in places:
+        check_place(place)
+    if events is not None:
+        _check_events(scene, run, events, out)
+    try:
+        result = run_simulation(scene, run, say)
+    except Interrupted as early:
+        assert early.result is not None
+        raise Interrupted(f"{early}; {kept(places, early.result)}") from early
+    if "ended" in result.metadata:
+        stopped = Interrupted(f"{result.metadata['ended']}; {kept(places, result)}")
+        stopped.exit_code = INTERRUPTED
+        raise stopped
+    for text in written(result, out, events):
+        say(text)
+
+
+def diverged_place(out: Path) -> Path:
+    """Where a run that ended early is kept: o.csv.gz -> o.diverged.csv.gz, bag -> bag_diverged.
+
+    Raises:
+        DataError: No format has the suffix of `out`.
+    """
+    suffix = suffix_of(out)
+    if suffix == FOLDER:
+        return out.parent / f"{out.name.replace('.', '_')}_diverged"
+    return out.with_name(f"{out.name.removesuffix(suffix)}.diverged{suffix}")
+
+
+def _check_events(scene: Scene, run: Run, events: Path, out: Path) -> None:
+    """Refuse a file of events that cannot be.
+
+    Raises:
+        DataError: It is that of the motion, or nothing in the scene has events.
+    """
+    if events.resolve() == out.resolve():
+        raise DataError(f"--events {events}: is -o, choose another name")
+    if not scene.simulation(**run.options).guards:
+        raise DataError(f"--events: nothing in {scene.name} happens at one time, such as impacts")
+
+
+def written(result: Result, out: Path, events: Path | None = None) -> Iterator[str]:
+    """Write the files; a text for each."""
+    result.to(out)
+    yield f"{result[MAIN].rows} states -> {out}"
+    if events is not None:
+        options = {"table": EVENTS} if format_of(events).one_table else {}
+        Result({EVENTS: result[EVENTS]}, result.metadata).to(events, **options)
+        yield f"{result[EVENTS].rows} events -> {events}"
+
+
+def kept(places: Sequence[Path], result: Result) -> str:
+    """Write the motion so far; a failure must not hide why the run ended."""
+    try:
+        texts = list(written(result, *map(diverged_place, places)))
+    except DataError as error:
+        return f"the states so far are lost: {error}"
+    return ", ".join(text.replace(" -> ", " so far are in ") for text in texts)

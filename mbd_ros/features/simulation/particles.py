@@ -9,24 +9,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.particles.particle_run import run as states_of
-from mbd_ros.core.particles.particle_run import sample_count
-from mbd_ros.core.particles.particle_system import ParticleSystem
-from mbd_ros.core.particles.units import Units
-from mbd_ros.core.particles.verlet_steps import ParticleVerlet
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import INTERRUPTED, OK, DataError, DivergedError, MbdError
-from mbd_ros.features.simulation.job import Interrupted
+from mbd_ros.features.simulation.job import Interrupted, diverged_place, kept, written
 from mbd_ros.features.simulation.run import MOST_ROWS
-from mbd_ros.features.simulation.to_file import diverged_place, kept, written
 from mbd_ros.files.formats import format_of, is_bag, suffix_of
 from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.files.times import TIME
-from mbd_ros.jobs.lines import Say, say
-from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
+from mbd_ros.jobs.progress import Say, Watch, say, watching
 from mbd_ros.jobs.progress import progress as shown
+from mbd_ros.methods.particles.particle_system import ParticleSystem
+from mbd_ros.methods.particles.units import Units
+from mbd_ros.methods.particles.verlet_steps import ParticleVerlet, sample_count
+from mbd_ros.methods.particles.verlet_steps import run as states_of
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.particles.particle_scene import ParticleScene
 from mbd_ros.scene.particles.particles_entry import QUANTITIES

@@ -1,4 +1,4 @@
-"""The order of a simulation, and its checks."""
+"""A simulation: its first state, commands and loads, its order and its checks."""
 
 import inspect
 import math
@@ -7,16 +7,31 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
+from mbd_ros.core.contracts import Load
+from mbd_ros.core.kinematics.poses import configuration_of
+from mbd_ros.core.loads.inputs import HeldTable, LinearTable, command_names
+from mbd_ros.core.loads.inputs import Source as InputSourcesSource
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import refuse_dt
-from mbd_ros.core.state import NANOSECOND
+from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import is_bag
-from mbd_ros.files.times import TIME_LIMIT
-from mbd_ros.motion.recordings import Source
+from mbd_ros.files.table import TIME, TIME_LIMIT
+from mbd_ros.jobs.arguments import about
+from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.motion.external_loads import refuse_unused
+from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion, read_wrenches
+from mbd_ros.motion.recordings import Source as Recorded
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.part_entries import Solver
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import PARTS, resolve
+
+# ---- run --------------------------------------------------------------------------------------
+# The order of a simulation, and its checks.
+
 
 MOST_ROWS = 10_000_000  # some kilobytes each until they are written
 _RESOLVED = 64.0  # rounding errors of the time that a step must be longer than
@@ -174,3 +189,182 @@ def method_entry(
 def _with_tolerance() -> list[str]:
     kinds = {name: resolve("integrators", name, "") for name in PARTS["integrators"]}
     return [name for name, k in kinds.items() if "tolerance" in inspect.signature(k).parameters]
+
+
+# ---- inputs -----------------------------------------------------------------------------------
+# Inputs of a simulation: its first state, commands and loads.
+
+
+def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
+    """State of all joints at the start, from the scene or a file, and remarks.
+
+    Raises:
+        DataError: The file has no sample at that time.
+    """
+    if run.origin is None:
+        return scene.initial._replace(t=run.start), []
+    names = [joint.name for joint in scene.robot.joints]
+    bodies = {base.name: base.frame for base in scene.robot.bases}
+    members = scene.robot.members
+    required = scene.couplings.independent
+    motion = read_motion(
+        run.origin,
+        names,
+        required=required,
+        bodies=bodies,
+        members=members,
+        sliding=scene.robot.sliding,
+    ).motion
+    stamp = round(run.start / NANOSECOND)
+    row = int(np.argmin(np.abs(motion.stamps - stamp)))
+    if abs(int(motion.stamps[row]) - stamp) > 1000:
+        where = name_of(run.origin)
+        first, last = motion.stamps[0] * NANOSECOND, motion.stamps[-1] * NANOSECOND
+        raise DataError(f"{where}: no sample at {run.start:g} s; it holds {first:g} .. {last:g} s")
+    velocity = np.full(len(names), np.nan)
+    if motion.velocity is not None:
+        velocity = motion.velocity[row]
+    q, v = scene.robot.neutral(), np.zeros(scene.robot.model.nv)
+    for joint, position, rate in zip(
+        scene.robot.joints, motion.position[row], velocity, strict=True
+    ):
+        q[joint.q], v[joint.v] = position, 0.0 if np.isnan(rate) else rate
+    scene.couplings.expand(q, v, np.zeros(scene.robot.model.nv))
+    resting = _place_bodies(scene.robot, motion, row, q, v)
+    free = scene.couplings.independent
+    lacking = [n for n, rate in zip(names, velocity, strict=True) if n in free and np.isnan(rate)]
+    lacking += resting
+    where = f"{name_of(run.origin)}: no velocity of"
+    said = [f"{where} {listed(lacking)}: at rest there"] if lacking else []
+    z, more = _internal_states(scene, run.origin, row)
+    return State(run.start, q, v, z), said + more
+
+
+def _internal_states(scene: Scene, origin: Recorded, row: int) -> tuple[Array, list[str]]:
+    """Internal states of a sample, those of the scene where there are none, and remarks."""
+    first, names = scene.initial.z, scene.internals.names
+    columns = read_columns(origin, names)
+    z = first if columns is None else np.where(np.isnan(columns[row]), first, columns[row])
+    lacking = names if columns is None else np.array(names)[np.isnan(columns[row])].tolist()
+    where = f"{name_of(origin)}: no column {listed(lacking)}"
+    return z, [f"{where}: as the scene starts"] if lacking else []
+
+
+def _place_bodies(robot: Robot, motion: Motion, row: int, q: Array, v: Array) -> list[str]:
+    """Put the free bodies of a sample into q and v; those that have no velocity there."""
+    resting = []
+    for base, body in zip(robot.bases, motion.bodies, strict=True):
+        q[base.q] = configuration_of(robot, body.pose[row])
+        if body.twist is None or np.isnan(body.twist[row]).any():
+            resting.append(base.name)
+        else:
+            v[base.v] = body.twist[row]
+    return resting
+
+
+def drives(scene: Scene, run: Run) -> tuple[dict[str, InputSourcesSource], list[Load], list[str]]:
+    """Sources of inputs by part, force terms that come from files, and remarks.
+
+    Raises:
+        DataError: A file that cannot be read, or that lacks a column or topic.
+    """
+    sources, said = _wrenches(scene, run), list[str]()
+    if run.efforts is not None and scene.muscles:
+        excited, said = _excitations(scene, run.efforts)
+        sources |= excited
+        if not scene.actuators:
+            return sources, [], said
+    commanded = tuple(name for names in command_names(scene.actuators) for name in names)
+    if run.efforts is None:
+        return sources, [], []
+    names = commanded or tuple(joint.name for joint in scene.robot.joints)
+    members, sliding = scene.robot.members, scene.robot.sliding
+    motion = read_motion(run.efforts, names, required=(), members=members, sliding=sliding).motion
+    where = name_of(run.efforts)
+    if commanded:
+        with about(where):
+            return sources | _held(scene, motion, _commands(scene, where, motion)), [], said
+    if motion.effort is None:
+        raise DataError(f"{where}: no column <joint>.effort of {', '.join(names)}")
+    times, effort = motion.stamps * NANOSECOND, np.nan_to_num(motion.effort)
+    gaps = np.isnan(motion.effort).any(axis=0)
+    lacking = [name for name, gap in zip(names, gaps, strict=True) if gap]
+    part = resolve("forces", "prescribed_torque", "--efforts")
+    said = [f"{where}: no effort of {listed(lacking)}: 0 there"] if lacking else []
+    with about(where):
+        torque = part(scene.robot, joints=names, times=times, torque=effort)
+    return sources, [torque], said
+
+
+def _excitations(
+    scene: Scene, origin: Recorded
+) -> tuple[dict[str, InputSourcesSource], list[str]]:
+    """Sources of muscles by name, held between samples, and remarks.
+
+    Raises:
+        DataError: The file has no excitation of any muscle.
+    """
+    names, where = [f"{part.name}.excitation" for part in scene.muscles], name_of(origin)
+    columns = read_columns(origin, (TIME, *names))
+    if columns is None or np.isnan(columns[:, 1:]).all():
+        raise DataError(f"{where}: no column {listed(names)}")
+    times, values = columns[:, 0], columns[:, 1:]
+    given = ~np.isnan(values).any(axis=0)
+    with about(where):
+        held: dict[str, InputSourcesSource] = {
+            part.name: HeldTable(times, values[:, [i]])
+            for i, part in enumerate(scene.muscles)
+            if given[i]
+        }
+    lacking = [name for name, is_given in zip(names, given, strict=True) if not is_given]
+    return held, [f"{where}: no {listed(lacking)}: the least there"] if lacking else []
+
+
+def _commands(scene: Scene, where: str, motion: Motion) -> Array:
+    """Commands of the actuators, from `.command`; from `.effort` where that is the same.
+
+    Raises:
+        DataError: Commands that are not there, and why an effort is none.
+    """
+    unknown = np.full((len(motion.stamps), len(motion.names)), np.nan)
+    given = unknown.copy() if motion.command is None else motion.command.copy()
+    effort = unknown if motion.effort is None else motion.effort
+    for actuator, names in zip(scene.actuators, command_names(scene.actuators), strict=True):
+        for name in names:
+            i = motion.names.index(name)
+            if not np.isnan(given[:, i]).all():
+                continue
+            if not actuator.takes and name in actuator.joints:
+                given[:, i] = effort[:, i]
+            elif not np.isnan(effort[:, i]).all():
+                raise DataError(
+                    f"{where}: no column {name}.command: its actuator takes the {actuator.takes}, "
+                    f"{name}.effort is the torque of the joint; simulate and inverse write both "
+                    "into tables"
+                )
+    lacking = [name for name, u in zip(motion.names, given.T, strict=True) if np.isnan(u).any()]
+    if lacking:
+        raise DataError(
+            f"{where}: commands of {', '.join(lacking)} are missing: no column <joint>.command, "
+            "nor <joint>.effort for an actuator that takes the torque of its joint"
+        )
+    return given
+
+
+def _held(scene: Scene, motion: Motion, commands: Array) -> dict[str, InputSourcesSource]:
+    """Sources of actuators by name, from all their commands in order."""
+    times = motion.stamps * NANOSECOND
+    return {part.name: HeldTable(times, commands[:, part.u]) for part in scene.actuators}
+
+
+def _wrenches(scene: Scene, run: Run) -> dict[str, InputSourcesSource]:
+    """Sources of external loads by name: straight lines between samples."""
+    refuse_unused(scene, run.wrenches)
+    if run.wrenches is None:
+        return {}
+    topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
+    samples = read_wrenches(run.wrenches, topics)
+    with about(name_of(run.wrenches)):
+        return {
+            name: LinearTable(one.stamps * NANOSECOND, one.wrench) for name, one in samples.items()
+        }

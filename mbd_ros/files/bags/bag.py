@@ -9,19 +9,18 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags.bag_recordings import Wanted, bag_motion
-from mbd_ros.files.bags.bag_rows import Rows
-from mbd_ros.files.bags.bag_streams import (
+from mbd_ros.files.bags.bag_writer import (
     BODY_FIELDS,
     FIELDS,
     JOINT_STATE,
     ODOMETRY,
+    Rows,
     Stream,
     streams_of,
 )
 from mbd_ros.files.bags.bags import BagWriter, messages, new_message, topic_types
-from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table, stamps_of, time_columns
 from mbd_ros.files.tables.description import column_of, describe, described
-from mbd_ros.files.times import STAMP, TIME, stamps_of, time_columns
 from msg_adapters.errors import MessageError
 from msg_adapters.odometry import read_odometry
 

@@ -1,25 +1,363 @@
 """Joint states and wrenches out of bags."""
 
+import itertools
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import reduce
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from mbd_ros.core.kinematics.poses import with_steady_signs
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags.bag_joint_states import Samples, Timed, check_any, joint_samples, times_of
-from mbd_ros.files.bags.bags import messages, topic_types
-from mbd_ros.files.bags.motion_blocks import without_infinite
+from mbd_ros.files.bags.bag_types import from_cdr
+from mbd_ros.files.bags.bags import CORRUPT, chosen, in_time_order, messages, topic_types
+from mbd_ros.files.bags.mcap_chunks import chunks_in_order, indexed, pieces_of, scanned
 from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
 from msg_adapters.errors import MessageError
+from msg_adapters.joint_state import JointSample, JointStateReader
+from msg_adapters.joint_state_rows import JointStateRowsReader
 from msg_adapters.odometry import OdometrySample, read_odometry
-from msg_adapters.wrench import read_wrench
+from msg_adapters.wrench import WrenchSample, read_wrench
+
+# ---- bag blocks -------------------------------------------------------------------------------
+# Messages of one topic of a bag, many at once.
+
+
+_ROWS = 4096  # messages of a block, where the file has none of its own
+
+
+class RawBlock(NamedTuple):
+    """Messages as they were recorded, in log-time order.
+
+    Attributes:
+        log_times: When the recorder received them [ns], shape (n,), n > 0.
+        data: Bytes that hold them.
+        starts: Where each begins in `data`, shape (n,).
+        sizes: Length of each, encapsulation included, shape (n,).
+    """
+
+    log_times: NDArray[np.int64]
+    data: NDArray[np.uint8]
+    starts: NDArray[np.int64]
+    sizes: NDArray[np.int64]
+
+    def rows(self) -> NDArray[np.uint8] | None:
+        """One message a row, shape (n, size); None where they differ in length."""
+        size = int(self.sizes[0])
+        if size == 0 or (self.sizes != size).any():
+            return None
+        return pieces_of(self.data, self.starts, size)
+
+    def messages(self) -> Iterator[tuple[int, bytes]]:
+        """Log time and bytes of each."""
+        whole, ends = memoryview(self.data), (self.starts + self.sizes).tolist()
+        for log_time, *place in zip(
+            self.log_times.tolist(), self.starts.tolist(), ends, strict=True
+        ):
+            yield log_time, bytes(whole[slice(*place)])
+
+
+def raw_blocks(path: Path, topic: str, msgtype: str) -> Iterator[RawBlock]:
+    """Messages of a topic in log-time order.
+
+    MCAP files are read chunk by chunk, with the index of messages behind each.
+
+    Args:
+        path: The bag.
+        topic: The topic.
+        msgtype: Type that it must have.
+
+    Raises:
+        DataError: As `bags.raw_messages`.
+    """
+    with chosen(path, {topic: msgtype}) as (reader, connections, missing):
+        for block in _blocks(reader, connections):
+            missing[topic] -= len(block.log_times)
+            yield block
+
+
+def _blocks(reader: Reader, connections: list[Any]) -> Iterator[RawBlock]:
+    """Storage by storage where these follow each other in time."""
+    storages = _storages(reader, connections)
+    spans = [(one.metadata.start_time, one.metadata.end_time - 1) for one, _ in storages]
+    pairs = itertools.pairwise(spans)
+    if not storages or any(begin < end for (_, end), (begin, _) in pairs):
+        stream = in_time_order(reader, connections)
+        yield from _joined((log_time, cdr) for _, log_time, cdr in stream)
+        return
+    for storage, own in storages:
+        if isinstance(storage, Sqlite3Reader):
+            yield from _joined(_selected(storage, own))
+            continue
+        chunks = chunks_in_order(storage, own)
+        if chunks is None:
+            stream = storage.messages(own)
+            yield from _joined((log_time, cdr) for _, log_time, cdr in stream)
+        for chunk in chunks or ():
+            found = indexed(storage, chunk, own)
+            if found is None:
+                yield from _joined(scanned(storage, chunk, own))
+            else:
+                yield RawBlock(*found)
+
+
+def _storages(reader: Reader, connections: Sequence[Any]) -> list[tuple[Any, list[Any]]]:
+    """Storages and their connections; none where each message is compressed by itself."""
+    if reader.compression_mode == "message":
+        return []
+    found = []
+    for storage in getattr(reader.storage, "storages", [reader.storage]):
+        own = [x for x in storage.connections if any(_is_same(x, y) for y in connections)]
+        if own:
+            found.append((storage, own))
+    return found
+
+
+def _is_same(own: Any, wanted: Any) -> bool:
+    """Whether a connection of a storage is that of the bag, as rosbags tells them apart."""
+    alike = (own.topic, own.msgtype, own.ext) == (wanted.topic, wanted.msgtype, wanted.ext)
+    return alike and (not own.digest or not wanted.digest or own.digest == wanted.digest)
+
+
+def _selected(storage: Sqlite3Reader, connections: Sequence[Any]) -> Iterator[tuple[int, bytes]]:
+    """Log time and bytes of messages of connections, as sqlite3 gives them."""
+    assert storage.dbconn is not None
+    ids = tuple({c.id for c in connections})
+    places = ", ".join("?" * len(ids))
+    rows: Iterator[tuple[int, bytes]] = storage.dbconn.execute(
+        f"SELECT timestamp, data FROM messages WHERE topic_id IN ({places}) ORDER BY timestamp",
+        ids,
+    )
+    return rows
+
+
+def _joined(stream: Iterable[tuple[int, bytes]]) -> Iterator[RawBlock]:
+    """Blocks of messages that come one by one."""
+    stream = iter(stream)
+    while taken := list(itertools.islice(stream, _ROWS)):
+        log_times, messages = zip(*taken, strict=True)
+        sizes = np.fromiter(map(len, messages), np.int64, len(messages))
+        data = np.frombuffer(b"".join(messages), np.uint8)
+        yield RawBlock(np.array(log_times, np.int64), data, np.cumsum(sizes) - sizes, sizes)
+
+
+# ---- bag joint states -------------------------------------------------------------------------
+# Joint states out of bags, as arrays: whole blocks of one layout, else message by message.
+
+
+JOINT_STATE = "sensor_msgs/msg/JointState"
+
+Timed = tuple[int, JointSample | WrenchSample | OdometrySample]  # log time [ns] and sample
+
+
+class Samples(NamedTuple):
+    """Messages of a topic that can be used.
+
+    Attributes:
+        log_times: [ns], shape (n,).
+        stamps: Those of the headers [ns], shape (n,).
+        fields: What the messages carry, one a row each.
+    """
+
+    log_times: NDArray[np.int64]
+    stamps: NDArray[np.int64]
+    fields: tuple[Array, ...]
+
+
+def joint_samples(
+    path: Path, joints: Sequence[str], topic: str, needed: Sequence[str], dropped: Counter[str]
+) -> Samples:
+    """Position, velocity and effort of each JointState that can be used."""
+    joint_states = JointStates(path, topic, joints, needed, dropped)
+    parts = [joint_states.of(block) for block in raw_blocks(path, topic, JOINT_STATE)]
+    joint_states.check([part for part in parts if len(part.stamps)])
+    return joined(parts)
+
+
+def joined(parts: Sequence[Samples]) -> Samples:
+    """Samples after each other."""
+    if len(parts) == 1:
+        return parts[0]
+    fields = tuple(np.concatenate(each) for each in zip(*(p.fields for p in parts), strict=True))
+    log_times, stamps = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    return Samples(log_times, stamps, fields)
+
+
+class JointStates:
+    """Samples out of blocks of JointStates: whole blocks of one layout, else message by message.
+
+    Args:
+        path: The bag, for messages.
+        topic: The topic.
+        joints: In the order of the fields.
+        needed: Those that must have a finite position.
+        dropped: Counts the messages that cannot be used, by reason.
+
+    Attributes:
+        seen: Joints of all messages.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        topic: str,
+        joints: Sequence[str],
+        needed: Sequence[str],
+        dropped: Counter[str],
+    ) -> None:
+        self._where, self._dropped, self._joints = f"{path}: topic {topic}", dropped, joints
+        self._needed = needed
+        self._reader = JointStateReader(joints)
+        self._rows = JointStateRowsReader(self._reader, self._message)
+        self._used = [self._reader.names.index(name) for name in needed]
+        self.seen = set[str]()
+
+    def of(self, block: RawBlock) -> Samples:
+        """Samples of a block."""
+        rows = block.rows()
+        found = None if rows is None else self._rows.read(rows)
+        if found is None or not np.isfinite(found.position[:, self._used]).all():
+            return self._one_by_one(block)
+        self.seen.update(self._reader.carried)
+        return Samples(block.log_times, found[0], found[1:])
+
+    def check(self, used: Sequence[object]) -> None:
+        """Raise DataError where a needed joint is in no message, or none can be used."""
+        lacking = [name for name in self._needed if name not in self.seen]
+        if lacking:
+            there = ", ".join(sorted(self.seen)) or "none"
+            raise DataError(f"{self._where}: no joint {', '.join(lacking)}; there are: {there}")
+        check_any(self._where, used, self._dropped)
+
+    def _message(self, cdr: bytes) -> Any:
+        try:
+            return from_cdr(cdr, JOINT_STATE)
+        except (DataError, *CORRUPT) as error:
+            raise DataError(f"{self._where}: unreadable message ({error})") from error
+
+    def _one_by_one(self, block: RawBlock) -> Samples:
+        samples: list[tuple[int, JointSample]] = []
+        for log_time, cdr in block.messages():
+            message = self._message(cdr)
+            self.seen.update(message.name)
+            try:
+                sample = self._reader.read(message)
+            except MessageError as error:
+                self._dropped[str(error)] += 1
+                continue
+            bad = [self._joints[i] for i in self._used if not np.isfinite(sample.position[i])]
+            if bad:
+                self._dropped[f"position of {', '.join(bad)} is missing or not finite"] += 1
+            else:
+                samples.append((log_time, sample))
+        shape = len(samples), len(self._joints)
+        fields = (np.array([s[1 + i] for _, s in samples]).reshape(shape) for i in range(3))
+        return Samples(*times_of(samples), tuple(fields))
+
+
+def times_of(samples: Sequence[Timed]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Log times and stamps of samples [ns]."""
+    pairs = [(log_time, sample.stamp) for log_time, sample in samples]
+    log_times, stamps = np.array(pairs, np.int64).reshape(-1, 2).T
+    return log_times, stamps
+
+
+def check_any(where: str, samples: Sequence[object], dropped: Counter[str]) -> None:
+    """Raise DataError where no message of a topic can be used."""
+    if not samples:
+        raise DataError(f"{where}: no usable message, dropped: {dict(dropped)}")
+
+
+# ---- motion blocks ----------------------------------------------------------------------------
+# The motion of a bag piece by piece, in memory that does not grow with the recording.
+
+
+_LEAST = 16_384  # messages of a piece, but of the last
+
+
+class WholeNeededError(DataError):
+    """A recording that can be read as a whole only."""
+
+
+class MotionBlocks:
+    """Pieces of the motion of a bag; together they are what `read_motion` gives.
+
+    Args:
+        path: The bag.
+        topic: JointState topic.
+        joints: Names, in the order of the columns.
+        needed: Those that must have a finite position.
+
+    Attributes:
+        dropped: Messages left out, counted by reason; complete after the last piece.
+    """
+
+    def __init__(
+        self, path: Path, topic: str, joints: Sequence[str], needed: Sequence[str]
+    ) -> None:
+        self._path, self._topic = path, topic
+        self._joints, self._needed = tuple(joints), tuple(needed)
+        self.dropped = Counter[str]()
+
+    def __iter__(self) -> Iterator[Motion]:
+        """The pieces.
+
+        Raises:
+            DataError: As `read_motion`.
+            WholeNeededError: A stamp is 0, so that those of the log count from the beginning on.
+        """
+        self.dropped.clear()
+        states = JointStates(self._path, self._topic, self._joints, self._needed, self.dropped)
+        newest, old, used = np.iinfo(np.int64).min, 0, []
+        for samples in self._pieces(states):
+            if not samples.stamps.all():
+                raise WholeNeededError(f"{self._path}: topic {self._topic}: a stamp is 0")
+            before = np.maximum.accumulate(np.r_[newest, samples.stamps[:-1]])
+            is_new = samples.stamps > before
+            old += int((~is_new).sum())
+            newest = max(before[-1], samples.stamps[-1])
+            if is_new.any():
+                used = [newest]
+                yield self._motion(samples, slice(None) if is_new.all() else is_new)
+        states.check(used)
+        if old:
+            self.dropped["stamp is not newer than all before"] += old
+
+    def _pieces(self, states: JointStates) -> Iterator[Samples]:
+        waiting: list[Samples] = []
+        for block in raw_blocks(self._path, self._topic, JOINT_STATE):
+            samples = states.of(block)
+            if len(samples.stamps):
+                waiting.append(samples)
+            if sum(len(one.stamps) for one in waiting) >= _LEAST:
+                yield joined(waiting)
+                waiting = []
+        if waiting:
+            yield joined(waiting)
+
+    def _motion(self, samples: Samples, rows: slice | np.ndarray) -> Motion:
+        fields = (without_infinite(field[rows]) for field in samples.fields)
+        position, velocity, effort = fields
+        return Motion(self._joints, samples.stamps[rows], position, velocity, effort=effort)
+
+
+def without_infinite(values: np.ndarray) -> np.ndarray:
+    """Values whose infinite ones are absent."""
+    if np.isinf(values).any():
+        values = np.where(np.isinf(values), np.nan, values)
+    return values
+
+
+# ---- bag recordings ---------------------------------------------------------------------------
+# Joint states and wrenches out of bags.
+
 
 WRENCH = "geometry_msgs/msg/WrenchStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import read_result
-from mbd_ros.files.laboratory.storage_columns import REMARKS, REPEATED
-from mbd_ros.files.table import MAIN, Result, Table
+from mbd_ros.files.laboratory.storage import REMARKS, REPEATED
+from mbd_ros.files.table import MAIN, TIME, Result, Table, motion_stamps
 from mbd_ros.files.text_file import reading
-from mbd_ros.files.times import TIME, motion_stamps
 
 GROUND = "ground"
 _LARGEST = 16_000_000  # bytes

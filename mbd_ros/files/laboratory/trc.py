@@ -12,11 +12,10 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.files.markers import GROUND, MARKERS, RATE
+from mbd_ros.files.recording import GROUND, MARKERS, RATE
 from mbd_ros.files.replacing import replacing
-from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
 from mbd_ros.files.text_file import MAX_CELLS, Lines, cell_number, check_times, reading
-from mbd_ros.files.times import STAMP, TIME
 
 _UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  # -> m
 _HEADER = 5  # lines

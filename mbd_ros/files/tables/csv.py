@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import replacing
-from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.table import MAIN, RUN, STAMP, TIME, Column, Result, Table
 from mbd_ros.files.text_file import MAX_CELLS, MAX_COLUMNS, Lines, reading
-from mbd_ros.files.times import RUN, STAMP, TIME
 
 NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 # Besides digits only the letters of "nan" pass: float() would take inf, 1_000 and foreign digits.

@@ -1,4 +1,4 @@
-"""Common part of both controller nodes: joint states and a reference in, commands out."""
+"""Nodes of controllers: joint states and a reference in, commands out."""
 
 import math
 import time
@@ -13,10 +13,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from trajectory_msgs.msg import JointTrajectory
 
-from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.errors import SolveError
-from mbd_ros.features.control.reference_limits import TargetError
-from mbd_ros.nodes.controller.laws import with_law
+from mbd_ros.features.control.trajectory import TargetError
+from mbd_ros.methods.signals.differentiation import SampleStatus
+from mbd_ros.nodes.controller.parameters import OF_QP, OTHERS, parameters, with_law
 from mbd_ros.nodes.controller.pipeline import ControlPipeline
 from mbd_ros.nodes.controller.trajectory_action import ABSENT, NAME, TrajectoryAction, action_type
 from mbd_ros.nodes.shell.joint_state_node import JointStateNode
@@ -26,6 +26,10 @@ from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_trajectory import read_joint_trajectory
+
+# ---- node -------------------------------------------------------------------------------------
+# Common part of both controller nodes: joint states and a reference in, commands out.
+
 
 MOST_NOTES = 20  # what was said of references and is kept, so that it is said once
 WATCH = 0.01  # s between looks at the stream, and between commands while none comes
@@ -217,3 +221,25 @@ class ControllerNode(JointStateNode):
         if text and text not in self._notes and len(self._notes) < MOST_NOTES:
             self._notes.add(text)
             self.get_logger().info(f"references: {text}")
+
+
+# ---- qp ---------------------------------------------------------------------------------------
+# Node `qp_controller`: see `controller`.
+
+
+class QpControllerNode(ControllerNode):
+    """Tracking by a constrained QP."""
+
+    NAME = "qp_controller"
+    PARAMETERS = parameters(OF_QP, "qp_tracking", takes_code=False)
+
+
+# ---- sliding mode -----------------------------------------------------------------------------
+# Node `sliding_mode_controller`: see `controller`.
+
+
+class SlidingModeControllerNode(ControllerNode):
+    """Sliding mode, super-twisting and their simpler relatives, or a law of another package."""
+
+    NAME = "sliding_mode_controller"
+    PARAMETERS = parameters(OTHERS, "sliding_mode", takes_code=True)

@@ -1,28 +1,31 @@
 """A built scene between messages: from a serialized joint state to a command."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
-from mbd_ros.core.inverse_dynamics.joint_observer import JointObserver, Observation
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.projection.observed_state import ObservedState
-from mbd_ros.core.signals.differentiation import SampleStatus
+from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import SolveError
-from mbd_ros.features.control.chatter import ChatterMeter
-from mbd_ros.features.control.command_guard import Guard
-from mbd_ros.features.control.control_loop import Command, ControlLoop
-from mbd_ros.features.control.loop_watch import LoopWatch, LossLimits, rest_responses
-from mbd_ros.features.control.reference_generator import ReferenceGenerator
-from mbd_ros.features.control.reference_limits import TargetError
-from mbd_ros.nodes.controller.laws import build_controller
-from mbd_ros.nodes.controller.parameters import check_lengths, effort_limits, gains
-from mbd_ros.nodes.controller.references import Plan, References
-from mbd_ros.nodes.shell.driven_joints import command_order, driven_joints
+from mbd_ros.features.control.control_loop import Command, ControlLoop, Guard
+from mbd_ros.features.control.loop_watch import ChatterMeter, LoopWatch, LossLimits, rest_responses
+from mbd_ros.features.control.reference import ReferenceGenerator, ReferenceMap, Selection
+from mbd_ros.features.control.trajectory import ReferenceTrajectory, TargetError
+from mbd_ros.methods.control.contract import Reference
+from mbd_ros.methods.inverse_dynamics.torque_estimator import JointObserver, Observation
+from mbd_ros.methods.projection.state_projection import ObservedState
+from mbd_ros.methods.signals.differentiation import SampleStatus
+from mbd_ros.nodes.controller.parameters import (
+    build_controller,
+    check_lengths,
+    effort_limits,
+    gains,
+)
+from mbd_ros.nodes.shell.messages import command_order, driven_joints
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.reader import load_scene
@@ -31,6 +34,91 @@ from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 from msg_adapters.joint_trajectory import Trajectory
 from msg_adapters.multi_array import write_answered, write_multi_array
+
+# ---- references -------------------------------------------------------------------------------
+# Messages with references -> targets of the generator.
+
+
+class Plan(NamedTuple):
+    """A trajectory that was checked and is not followed yet.
+
+    Attributes:
+        trajectory: For the reference generator; None to stop.
+        begin: Time from which the times of its points count [s].
+        note: Joints that were mapped or left out, for people.
+    """
+
+    trajectory: ReferenceTrajectory | None
+    begin: float
+    note: str
+
+
+class References:
+    """Hands references of any joints to the reference generator of the controlled ones.
+
+    Args:
+        generator: Follows them.
+        names: Controlled joints.
+        couplings: Those of the scene.
+    """
+
+    def __init__(
+        self, generator: ReferenceGenerator, names: Sequence[str], couplings: Couplings
+    ) -> None:
+        self._generator = generator
+        self._map = ReferenceMap(names, couplings)
+        self._selections: dict[tuple[tuple[str, ...], bool], Selection] = {}
+
+    def aim(self, now: float, names: tuple[str, ...], sample: JointSample) -> str:
+        """Take a reference of one instant, `sample` in the order of `names`; returns a remark.
+
+        Raises:
+            TargetError: It is refused.
+        """
+        selection = self._selection(names, False)
+        rates = np.where(np.isfinite(sample.velocity), sample.velocity, 0.0)
+        q = selection.positions(sample.position)
+        self._generator.aim(now, Reference(q, selection.rates(rates), np.zeros(len(q))))
+        return selection.note
+
+    def plan(self, now: float, begin: float, trajectory: Trajectory) -> Plan:
+        """The plan for a trajectory with points that begins at `begin` [s].
+
+        Joints that it does not give hold their present reference.
+
+        Raises:
+            TargetError: It is refused.
+        """
+        selection, held = self._selection(trajectory.names, True), self._generator.at(now).q
+        given, rest = selection.is_given, np.zeros(len(held))
+        parts = trajectory.velocity, trajectory.acceleration
+        v, a = (
+            None if part is None else np.where(given, selection.rates(part), rest)
+            for part in parts
+        )
+        q = np.where(given, selection.positions(trajectory.position), held)
+        trajectory = self._generator.plan(now, begin + trajectory.times, q, v, a)
+        return Plan(trajectory, begin, selection.note)
+
+    def check(self, names: tuple[str, ...]) -> None:
+        """Refuse joints of a trajectory without points that are not controlled.
+
+        Raises:
+            TargetError: Names them.
+        """
+        if names:
+            self._selection(names, True)
+
+    def _selection(self, names: tuple[str, ...], partial: bool) -> Selection:
+        key = names, partial
+        if key not in self._selections:
+            self._selections = {key: self._map.select(names, partial=partial)}
+        return self._selections[key]
+
+
+# ---- pipeline ---------------------------------------------------------------------------------
+# A built scene between messages: from a serialized joint state to a command.
+
 
 # Diagnostics of a control loop.
 

@@ -6,17 +6,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from rclpy.action import ActionServer, CancelResponse, GoalResponse
 
-from mbd_ros.features.control.reference_limits import TargetError
-from mbd_ros.features.control.trajectory import ReferenceTrajectory
-from mbd_ros.features.control.trajectory_goal import (
+from mbd_ros.features.control.trajectory import (
     JointTolerance,
     Outcome,
+    ReferenceTrajectory,
     ResultCode,
+    TargetError,
     Tolerances,
     TrajectoryGoal,
 )
-from mbd_ros.nodes.controller.pipeline import ControlPipeline
-from mbd_ros.nodes.controller.references import Plan
+from mbd_ros.nodes.controller.pipeline import ControlPipeline, Plan
 from msg_adapters.errors import MessageError
 from msg_adapters.follow_joint_trajectory import FeedbackWriter, read_goal
 

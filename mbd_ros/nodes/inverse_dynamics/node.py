@@ -8,21 +8,20 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observation
-from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
+from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
 from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
 from mbd_ros.nodes.shell.scene_node import LATCHED
-from mbd_ros.nodes.shell.serialized import require_size
+from mbd_ros.nodes.shell.serialized import read_load, require_size
 from mbd_ros.nodes.shell.stream_parameters import PARAMETERS, tuning
-from mbd_ros.nodes.shell.wrenches import read_load
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample
 
 if TYPE_CHECKING:
-    from mbd_ros.nodes.inverse_dynamics.whole_samples import Part
+    from mbd_ros.nodes.inverse_dynamics.pipeline import Part
 
 POWERS = 100  # a reader may be away for 0.1 s at 1 kHz
 

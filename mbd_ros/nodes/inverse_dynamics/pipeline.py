@@ -1,34 +1,242 @@
 """A built scene between messages: from a serialized joint state to its answers."""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from time import monotonic
+from typing import Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
+from numpy.typing import NDArray
 
-from mbd_ros.core.inverse_dynamics.observed_loops import ObservedLoops
-from mbd_ros.core.inverse_dynamics.standing import Nearness
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
-from mbd_ros.core.inverse_dynamics.torques import SampleSolver
-from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
-from mbd_ros.core.kinematics.poses import TWIST
-from mbd_ros.core.signals.differentiation import SampleStatus
+from mbd_ros.core.kinematics.poses import TWIST, IndependentCoordinates
+from mbd_ros.core.loads.external_loads import WrenchBuffer
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import SceneError
-from mbd_ros.nodes.inverse_dynamics.wrench_queue import WrenchQueue
+from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic
+from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
+from mbd_ros.methods.inverse_dynamics.power import ObservedPower
+from mbd_ros.methods.inverse_dynamics.standing import Nearness
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
+from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.shell.stream_parameters import tuning
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.check import tier
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
+from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.odometry import OdometrySample
 from msg_adapters.wrench import write_wrench
 
-if TYPE_CHECKING:
-    from mbd_ros.nodes.inverse_dynamics.power import PowerAnswer
-    from mbd_ros.nodes.inverse_dynamics.whole_samples import WholeSample, WholeSamples
+# ---- whole samples ----------------------------------------------------------------------------
+# Samples whose parts come on several topics: joint states of each robot, odometry of each body.
+#
+# Parts of one stamp make a sample. A topic keeps its order, so when a sample is whole, parts that
+# came before it and still wait have lost their partner.
+
+
+MOST = 500  # samples that wait, as many as the transport keeps
+
+Part = JointSample | OdometrySample
+
+
+class WholeSample(NamedTuple):
+    """All parts of one stamp.
+
+    Attributes:
+        joints: All joints in the order of the names.
+        present: Which of them the messages carried.
+        bodies: Poses, shape (k, 7), and twists, shape (k, 6), of the free bodies.
+    """
+
+    joints: JointSample
+    present: NDArray[np.bool_]
+    bodies: tuple[Array, Array]
+
+
+class _Joints:
+    """Joint states of one robot.
+
+    Args:
+        own: Names on the topic -> names in the scene.
+        names: All joints.
+        deserialize: JointState of its bytes.
+    """
+
+    def __init__(
+        self, own: Mapping[str, str], names: Sequence[str], deserialize: Callable[[bytes], Any]
+    ) -> None:
+        self.reader = JointStateReader(list(own), with_effort=False)
+        self.read = JointStateCdrReader(self.reader, deserialize).read
+        self.at = [names.index(name) for name in own.values()]
+        self.names = dict(own)
+
+
+class WholeSamples:
+    """Puts the parts of samples together.
+
+    Args:
+        names: Joints, in the order of a sample.
+        members: Names of the robots and bodies in front of those of their joints.
+        bodies: Names of the free bodies.
+        deserialize: JointState of its bytes.
+
+    Attributes:
+        joint_topics: Topics with joint states.
+        body_topics: Topics with odometry, in the order of the bodies.
+        unheard: Topics that had no message since the last `clear`.
+        present: Which joints the newest whole sample carried.
+    """
+
+    def __init__(
+        self,
+        names: Sequence[str],
+        members: Collection[str],
+        bodies: Sequence[str],
+        deserialize: Callable[[bytes], Any],
+    ) -> None:
+        self._names = tuple(names)
+        self._joints = {
+            joint_state_topic(member): _Joints(own, names, deserialize)
+            for member, own in by_member(names, members).items()
+        }
+        self.joint_topics = tuple(self._joints)
+        self.body_topics = tuple(odometry_topic(body) for body in bodies)
+        self.present = np.zeros(len(names), dtype=np.bool_)
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget what waits."""
+        self._waiting: dict[int, dict[str, tuple[Part, Any]]] = {}
+        self.unheard = {*self.joint_topics, *self.body_topics}
+
+    def read(self, topic: str, cdr: bytes) -> JointSample:
+        """Joints of one robot, in the order of its names; MessageError if malformed."""
+        return self._joints[topic].read(cdr)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Joints that the newest whole sample lacked."""
+        pairs = zip(self._names, self.present, strict=True)
+        return tuple(name for name, is_there in pairs if not is_there)
+
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """Joints of the newest messages that were not asked for."""
+        return tuple(name for part in self._joints.values() for name in part.reader.extra)
+
+    def add(self, topic: str, stamp: int, part: Part) -> tuple[WholeSample | None, int]:
+        """Take a part.
+
+        Args:
+            topic: Where it came.
+            stamp: Time [ns].
+            part: What was read.
+
+        Returns:
+            The sample that it completes, or None, and how many incomplete ones are given up.
+
+        Raises:
+            MessageError: It has no stamp.
+        """
+        self.unheard.discard(topic)
+        if not part.stamp:
+            raise MessageError("stamp is 0, and parts of a sample are found by their stamps")
+        present = self._joints[topic].reader.present if topic in self._joints else None
+        parts = self._waiting.setdefault(stamp, {})
+        parts[topic] = part, present
+        if len(parts) < len(self.joint_topics) + len(self.body_topics):
+            return None, self._give_up(len(self._waiting) - MOST)
+        lost = self._give_up(list(self._waiting).index(stamp))
+        return self._whole(stamp, self._waiting.pop(stamp)), lost
+
+    def _give_up(self, count: int) -> int:
+        """Forget the oldest ones."""
+        for stamp in list(self._waiting)[: max(count, 0)]:
+            del self._waiting[stamp]
+        return max(count, 0)
+
+    def _whole(self, stamp: int, parts: Mapping[str, tuple[Part, Any]]) -> WholeSample:
+        n = len(self._names)
+        position, velocity = np.full(n, np.nan), np.full(n, np.nan)
+        present = np.zeros(n, dtype=np.bool_)
+        for topic, joints in self._joints.items():
+            sample, there = parts[topic]
+            position[joints.at], velocity[joints.at] = sample[1:3]
+            present[joints.at] = there
+        if not np.array_equal(present, self.present):
+            self.present = present  # the same array as long as that does not change
+        found = [parts[topic][0] for topic in self.body_topics]
+        bodies = [part for part in found if isinstance(part, OdometrySample)]
+        poses = np.array([body.pose for body in bodies]).reshape(-1, 7)
+        twists = np.array([body.twist for body in bodies]).reshape(-1, 6)
+        sample = JointSample(stamp, position, velocity, np.full(n, np.nan))
+        return WholeSample(sample, self.present, (poses, twists))
+
+
+# ---- wrench queue -----------------------------------------------------------------------------
+# Joint states that wait for the wrenches of their stamp.
+
+
+class WrenchQueue:
+    """Pairs observations with wrenches, in the order of the observations.
+
+    Args:
+        max_age: How long the newest wrench stands for later observations [ns].
+        rewind: A stamp older than the last by more than this is a new beginning [ns].
+        names: Wrenches, in the order of the scene.
+
+    Attributes:
+        buffers: Newest samples of every wrench, by name.
+    """
+
+    def __init__(self, names: Mapping[str, object], max_age: int, rewind: int) -> None:
+        self.buffers = {name: WrenchBuffer(max_age, rewind) for name in names}
+        self._rewind, self._newest = rewind, 0
+        self._waiting: deque[tuple[float, Observation]] = deque()
+
+    def clear(self) -> None:
+        """Forget all wrenches and observations."""
+        self._waiting.clear()
+        self._newest = 0
+        for buffer in self.buffers.values():
+            buffer.clear()
+
+    def add(self, x: Observation, wait: float) -> None:
+        """Let an observation wait for at most `wait` [s]."""
+        if x.stamp < self._newest:
+            self._forget_after(x.stamp)
+        self._newest = x.stamp
+        self._waiting.append((monotonic() + wait, x))
+
+    def take(self) -> Iterator[tuple[Observation, dict[str, Array | None]]]:
+        """Observations whose wrenches are there, or were waited for long enough.
+
+        Yields:
+            The observation and every wrench [N, N·m], None where no sample is near enough.
+        """
+        while self._waiting:
+            due, x = self._waiting[0]
+            complete = all(buffer.covers(x.stamp) for buffer in self.buffers.values())
+            if not complete and monotonic() < due:
+                return
+            self._waiting.popleft()
+            yield x, {name: buffer.at(x.stamp) for name, buffer in self.buffers.items()}
+
+    def _forget_after(self, stamp: int) -> None:
+        """Joint states began anew at `stamp`: drop wrenches of the time before."""
+        for buffer in self.buffers.values():
+            if buffer.covers(stamp + self._rewind // 2):
+                buffer.clear()
+
+
+# ---- pipeline ---------------------------------------------------------------------------------
+# A built scene between messages: from a serialized joint state to its answers.
 
 
 class Answer(NamedTuple):
@@ -74,10 +282,8 @@ class Pipeline:
         bodies = [base.name for base in robot.bases]
         self.whole: WholeSamples | None = None
         if bodies or robot.members:
-            from mbd_ros.nodes.inverse_dynamics import whole_samples  # only for several topics
-
             names = self.estimator.names
-            self.whole = whole_samples.WholeSamples(names, robot.members, bodies, joint_state)
+            self.whole = WholeSamples(names, robot.members, bodies, joint_state)
         self._at = IndependentCoordinates(robot, couplings) if bodies else None
         self._residuals = [WrenchStamped() for _ in bodies]
         self._torques = JointStateCdrWriter(couplings.independent)
@@ -124,8 +330,6 @@ class Pipeline:
 
     def with_power(self) -> None:
         """Answer with powers from now on."""
-        from mbd_ros.nodes.inverse_dynamics.power import PowerAnswer  # only where asked for
-
         self._power = PowerAnswer(self.scene, self._solver)
 
     def reset(self) -> None:
@@ -253,3 +457,26 @@ class Pipeline:
     @property
     def _dependent(self) -> tuple[str, ...]:
         return self.scene.couplings.dependent
+
+
+# ---- power ------------------------------------------------------------------------------------
+# Powers of a solved joint state as a message.
+
+
+class PowerAnswer:
+    """Serialized Float64MultiArray whose labels are names of powers.
+
+    Args:
+        scene: The scene.
+        solver: What solves its joint states.
+    """
+
+    def __init__(self, scene: Scene, solver: SampleSolver) -> None:
+        self._power = ObservedPower(scene.robot, solver, scene.wrenches, scene.acting)
+        names = [output.name for output in self._power.outputs]
+        self._writer = MultiArrayCdrWriter(len(names), names)
+
+    def write(self, x: Observation, found: Torques, wrenches: Sequence[Any]) -> bytes:
+        """The message of an observation and of what was found for it."""
+        values = self._power.values(x.position, x.velocity, x.acceleration, found, wrenches)
+        return self._writer.write(values.tolist())

@@ -5,8 +5,8 @@ from typing import Any
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.joint_state_projector.parameters import PARAMETERS, tuning
 from mbd_ros.nodes.joint_state_projector.pipeline import ProjectorPipeline
 from mbd_ros.nodes.shell.joint_state_node import JointStateNode

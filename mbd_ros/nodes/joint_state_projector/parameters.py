@@ -1,8 +1,7 @@
 """Parameters of the node `joint_state_projector`."""
 
-from mbd_ros.core.projection.state_projection import StateProjector
-from mbd_ros.nodes.shell.constructor_parameters import of
-from mbd_ros.nodes.shell.parameters import Parameter
+from mbd_ros.methods.projection.state_projection import StateProjector
+from mbd_ros.nodes.shell.parameters import Parameter, of
 from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS
 from mbd_ros.nodes.shell.stream_parameters import tuning
 

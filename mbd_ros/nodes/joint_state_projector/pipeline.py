@@ -5,16 +5,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.dynamics.mass_check import check_mass_anywhere
+from mbd_ros.core.contracts import without_multiplier
+from mbd_ros.core.dynamics.mass import check_mass_anywhere
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.names import without_multiplier
-from mbd_ros.core.projection.state_projection import ProjectedState, StateProjector
-from mbd_ros.core.rows.row_layout import rigid
-from mbd_ros.core.signals.differentiation import SampleStatus
+from mbd_ros.core.rows.constraint_rows import rigid
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.features.estimation.state_reconstruction import StateReconstructor
+from mbd_ros.methods.projection.state_projection import ProjectedState, StateProjector
+from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.joint_state_projector.parameters import tuning
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.scene.reader import load_scene

@@ -7,9 +7,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
-from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.marker_kinematics.parameters import PARAMETERS
 from mbd_ros.nodes.marker_kinematics.pipeline import MarkerPipeline
 from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode

@@ -5,11 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.signals.differentiation import CausalDifferentiator, SampleStatus
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.features.markers.marker_fit import Fit
-from mbd_ros.features.markers.solver import live_solver
+from mbd_ros.features.markers.marker_kinematics import live_solver
+from mbd_ros.methods.signals.differentiation import CausalDifferentiator, SampleStatus
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state_cdr import JointStateCdrWriter

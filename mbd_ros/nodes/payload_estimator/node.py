@@ -6,7 +6,7 @@ from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.model.inertial_parameters import COUNT, PLACES
-from mbd_ros.core.signals.differentiation import SampleStatus
+from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.payload_estimator.parameters import PARAMETERS
 from mbd_ros.nodes.payload_estimator.pipeline import Carried, PayloadPipeline
 from mbd_ros.nodes.shell.joint_state_node import JointStateNode

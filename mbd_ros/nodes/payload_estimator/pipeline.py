@@ -5,13 +5,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.core.inverse_dynamics.joint_observer import JointObserver
 from mbd_ros.core.model.inertial_parameters import PLACES, inertia_of
-from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.errors import SceneError
 from mbd_ros.features.identification.payload.job import carrier_of
-from mbd_ros.features.identification.recursive import RecursivePayload
+from mbd_ros.features.identification.payload.recursive import RecursivePayload
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.methods.inverse_dynamics.torque_estimator import JointObserver
+from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.built_scene import Scene

@@ -8,7 +8,7 @@ from rclpy.qos import QoSProfile
 from mbd_ros.core.dynamics.output_values import Showing, in_link
 from mbd_ros.core.geometry.contact_outputs import OPEN, SLIP, STICK
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
 from mbd_ros.nodes.shell.shell import Shell
 from msg_adapters.wrench import write_wrench
 
@@ -90,7 +90,7 @@ def _residuals(live: LiveSimulation) -> dict[str, str]:
     found = live.simulation.take_residuals()
     if found is None:
         return {}
-    from mbd_ros.features.simulation.residuals import UNITS  # only where a method has residuals
+    from mbd_ros.features.simulation.checks import UNITS  # only where a method has residuals
 
     largest = sorted(found._asdict().items(), key=lambda item: -item[1])
     texts = [f"{name} {value:.2g} {UNITS[name]}" for name, value in largest]

@@ -3,28 +3,28 @@
 from collections.abc import Callable, Sequence
 from functools import partial
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
-
-from rclpy.qos import QoSProfile, ReliabilityPolicy
-from sensor_msgs.msg import JointState
-from std_srvs.srv import Trigger
-
-from mbd_ros.core.signals.differentiation import SampleStatus
-from mbd_ros.core.state import NANOSECOND
-from mbd_ros.nodes.shell.scene_node import SceneNode
-from mbd_ros.nodes.shell.serialized import require_size
-from msg_adapters.diagnostics import OK, STALE, WARN
-from msg_adapters.errors import MessageError, listed
-from msg_adapters.joint_state import JointSample
-
-if TYPE_CHECKING:
-    from mbd_ros.nodes.shell.joint_state_pipeline import Heard, JointStatePipeline
-
+from typing import Any, Protocol
 
 from rclpy.clock import Clock as RosClock
 from rclpy.clock_type import ClockType
 from rclpy.node import Node
+from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from mbd_ros.core.state import NANOSECOND
+from mbd_ros.methods.signals.differentiation import SampleStatus
+from mbd_ros.nodes.shell.scene_node import SceneNode
+from mbd_ros.nodes.shell.serialized import require_size
+from msg_adapters.diagnostics import OK, STALE, WARN
+from msg_adapters.errors import MessageError, listed
+from msg_adapters.joint_state import JointSample, JointStateReader
+from msg_adapters.joint_state_cdr import JointStateCdrReader
+
+# ---- joint state node -------------------------------------------------------------------------
+# Common part of nodes that answer joint states: stamps, clocks, reset.
+
 
 # Whether the clock of a simulation is alive, seen from a clock that never stands.
 
@@ -338,3 +338,32 @@ class JointStateNode(SceneNode):
         self.begin_anew()
         response.success, response.message = True, "filters and buffers are empty"
         return response
+
+
+# ---- joint state pipeline ---------------------------------------------------------------------
+# Contracts of what a node that answers joint states builds when it is configured.
+
+
+class Heard(Protocol):
+    """What the newest messages carried."""
+
+    @property
+    def extra(self) -> tuple[str, ...]:
+        """Joints that were not asked for."""
+        ...
+
+
+class JointStatePipeline(Protocol):
+    """From serialized joint states to samples.
+
+    Attributes:
+        reader: Serialized joint states to samples.
+        joints: Which joints the newest joint state carried.
+    """
+
+    reader: JointStateCdrReader
+    joints: JointStateReader
+
+    def held(self) -> Sequence[str]:
+        """Joints that the newest joint state lacked, and that nothing else gives."""
+        ...

@@ -1,12 +1,22 @@
 """A parameter of a node: its name, what it means and which values it accepts."""
 
+import difflib
 import math
 from array import array
+from collections import namedtuple
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, get_args, get_origin
 
-from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor
+from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rclpy import parameter as ros
+from rclpy.exceptions import ParameterNotDeclaredException
+from rclpy.node import Node
 
 from mbd_ros.errors import MbdError
+from mbd_ros.scene.schema.schema import Argument, arguments
+
+# ---- parameters -------------------------------------------------------------------------------
+# A parameter of a node: its name, what it means and which values it accepts.
 
 
 class ParameterError(MbdError):
@@ -120,3 +130,210 @@ PARAMETERS = (
         fixed=True,
     ),
 )
+
+
+# ---- constructor parameters -------------------------------------------------------------------
+# Parameters that follow from the arguments of constructors.
+
+
+def of(
+    constructor: Callable[..., Any],
+    names: Mapping[str, str],
+    *,
+    skip: int = 0,
+    read_only: bool = True,
+) -> tuple[Parameter, ...]:
+    """Parameters whose values become arguments of a constructor.
+
+    Args:
+        constructor: Where kind, default, range, unit and text stand.
+        names: Argument -> name of the parameter.
+        skip: So many first arguments come from elsewhere.
+        read_only: See `Parameter`.
+    """
+    found = {argument.name: argument for argument in arguments(constructor, skip, tuple(names))}
+    return tuple(
+        parameter(found[argument], name, read_only=read_only) for argument, name in names.items()
+    )
+
+
+def parameter(
+    argument: Argument, name: str, *, note: str = "", read_only: bool = True
+) -> Parameter:
+    """The parameter whose value becomes an argument of a constructor.
+
+    Args:
+        argument: Kind, default, range, choices, unit and text.
+        name: Of the parameter.
+        note: Sentences after the text.
+        read_only: See `Parameter`.
+    """
+    kind, default = argument.kind, argument.default
+    if argument.per_joint:
+        kind = list[kind]  # type: ignore[valid-type]
+        is_one = isinstance(default, int | float)
+        default = (float(default),) if is_one else default and tuple(default)
+    text = argument.text.removesuffix(".")
+    unit = f"[{argument.unit}]" if argument.unit not in ("", "-") else ""
+    words = (text, "" if unit in text else unit)
+    return Parameter(
+        name,
+        kind,
+        " ".join(word for word in words if word) + "." + note,
+        default,
+        low=argument.low,
+        high=argument.high,
+        choices=argument.choices,
+        read_only=read_only,
+    )
+
+
+# ---- declared ---------------------------------------------------------------------------------
+# ROS parameters with strict values: what a node declares, and what it makes of changes.
+
+
+_ROS_TYPES = {
+    bool: ros.Parameter.Type.BOOL,
+    int: ros.Parameter.Type.INTEGER,
+    float: ros.Parameter.Type.DOUBLE,
+    str: ros.Parameter.Type.STRING,
+    list[bool]: ros.Parameter.Type.BOOL_ARRAY,
+    list[int]: ros.Parameter.Type.INTEGER_ARRAY,
+    list[float]: ros.Parameter.Type.DOUBLE_ARRAY,
+    list[str]: ros.Parameter.Type.STRING_ARRAY,
+}
+
+
+class Declared:
+    """The parameters of one node.
+
+    Attributes:
+        values: Named tuple of all values; replaced as a whole, never changed.
+        problems: Name -> why the value given at the start was refused.
+    """
+
+    def __init__(
+        self,
+        node: Node,
+        parameters: Sequence[Parameter],
+        retune: Callable[[Any], None],
+        is_configured: Callable[[], bool],
+    ) -> None:
+        """Declare everything; a bad value is kept as a problem, never raised.
+
+        Args:
+            node: The node of the parameters.
+            parameters: What to declare.
+            retune: Called with the new values before they are swapped in; an MbdError refuses.
+            is_configured: Whether `read_only` holds now.
+        """
+        self._specs = {parameter.name: parameter for parameter in parameters}
+        self._retune, self._is_configured = retune, is_configured
+        self.problems: dict[str, str] = {}
+        given = node._parameter_overrides  # rclpy shows them in no public way
+        values = {spec.key: self._declare(node, spec, given) for spec in parameters}
+        self.values: Any = namedtuple("Values", values)(**values)
+        self._is_following = False
+        node.add_pre_set_parameters_callback(self._convert)
+        node.add_on_set_parameters_callback(self._apply)
+
+    def follow(self, node: Node, parameters: Sequence[Parameter]) -> None:
+        """Let a node have these parameters: others end, and those of another kind begin anew.
+
+        What begins has the value given at the start, or its default; a bad one is a problem.
+        """
+        wanted = {spec.name: spec for spec in parameters}
+        if self._is_following or wanted == self._specs:
+            return
+        kept = {n for n, spec in self._specs.items() if wanted.get(n) == spec}
+        values, given = self.values._asdict(), node._parameter_overrides
+        self._is_following = True
+        try:
+            for name in self._specs.keys() - kept:
+                node.undeclare_parameter(name)
+                self.problems.pop(name, None)
+            for spec in (spec for name, spec in wanted.items() if name not in kept):
+                values[spec.key] = self._declare(node, spec, given)
+        finally:
+            self._is_following = False
+        self._specs = wanted
+        keys = [spec.key for spec in parameters]
+        self.values = namedtuple("Values", keys)(*(values[key] for key in keys))
+
+    def undeclared(self, node: Node) -> list[str]:
+        """One warning per override that was given and that nobody declared."""
+        unknown = [name for name in node._parameter_overrides if not node.has_parameter(name)]
+        return [f"parameter {self._unknown(name)}" for name in unknown]
+
+    def _declare(self, node: Node, spec: Parameter, given: dict[str, ros.Parameter]) -> Any:
+        value = None if spec.default is None else spec.read(spec.default)
+        try:
+            if spec.name in given:
+                override = given[spec.name].value
+                value = spec.read([] if override is None else override)  # [] arrives without type
+            elif value is None:
+                raise ParameterError(f"parameter '{spec.name}' must be given: {spec.accepted()}")
+        except ParameterError as error:
+            self.problems[spec.name] = str(error)
+        shown = spec.default if value is None else value
+        kind, initial = _ROS_TYPES[spec.kind], spec.kind() if shown is None else shown
+        # rclpy would declare an empty list as BYTE_ARRAY: declare its type, then set it. One
+        # parameter without a value would leave `ros2 param dump` without any.
+        first = kind if initial in ((), []) else initial
+        node.declare_parameter(spec.name, first, spec.descriptor(), ignore_override=True)
+        if first is kind:
+            node.set_parameters([ros.Parameter(spec.name, kind, [])])
+        return value
+
+    def _unknown(self, name: str) -> str:
+        from mbd_ros.scene.schema.renamed import renamed  # here, since it serves errors only
+
+        near = difflib.get_close_matches(name, self._specs, 1)
+        guess = f" (did you mean '{near[0]}'?)" if near else ""
+        hint = renamed("parameter", name) or guess
+        return f"'{name}' is unknown{hint}; accepted: {', '.join(sorted(self._specs))}"
+
+    def _convert(self, changes: list[ros.Parameter]) -> list[ros.Parameter]:
+        """Give an int or an empty list the declared type before rclpy compares types."""
+        if self._is_following:
+            return changes
+        unknown = [change.name for change in changes if change.name not in self._specs]
+        for name in set(unknown) - {"use_sim_time", "start_type_description_service"}:
+            raise ParameterNotDeclaredException(self._unknown(name))
+        return [self._converted(change) for change in changes]
+
+    def _converted(self, change: ros.Parameter) -> ros.Parameter:
+        kind = self._specs[change.name].kind if change.name in self._specs else None
+        is_array = isinstance(change.value, list | tuple | array)
+        if get_origin(kind) is list and is_array and len(change.value) == 0:
+            return ros.Parameter(change.name, _ROS_TYPES[kind], [])
+        if kind is float and change.type_ == ros.Parameter.Type.INTEGER:
+            return ros.Parameter(change.name, value=float(change.value))
+        if kind == list[float] and change.type_ == ros.Parameter.Type.INTEGER_ARRAY:
+            return ros.Parameter(change.name, value=[float(entry) for entry in change.value])
+        return change
+
+    def _apply(self, changes: list[ros.Parameter]) -> SetParametersResult:
+        if self._is_following:
+            return SetParametersResult(successful=True)
+        known = [(self._specs[c.name], c.value) for c in changes if c.name in self._specs]
+        try:
+            values = self.values._replace(**{spec.key: spec.read(new) for spec, new in known})
+            self._refuse_while_configured([spec for spec, _ in known], values)
+            if known:
+                self._retune(values)
+        except MbdError as error:
+            return SetParametersResult(successful=False, reason=str(error))
+        self.values = values
+        for spec, _ in known:
+            self.problems.pop(spec.name, None)
+        return SetParametersResult(successful=True)
+
+    def _refuse_while_configured(self, specs: list[Parameter], values: Any) -> None:
+        """Raise for what only a new configuration can take; the same value is no change."""
+        for spec in specs if self._is_configured() else ():
+            if spec.read_only and getattr(values, spec.key) != getattr(self.values, spec.key):
+                raise ParameterError(
+                    f"parameter '{spec.name}' is read-only while the node is configured; "
+                    "clean up, set it, then configure"
+                )

@@ -1,4 +1,4 @@
-"""Serialized messages as the transport delivers them -> messages.
+"""Serialized messages as the transport delivers them, external loads among them.
 
 Nodes take bytes of every type. rclpy itself drops bytes that it cannot deserialize without a
 trace, and turns messages that are too large into objects first.
@@ -12,8 +12,14 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
+from mbd_ros.scene.reading.part_entries import MeasuredWrench
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_trajectory_cdr import require_points
+from msg_adapters.wrench import WrenchSample, read_wrench
+
+# ---- serialized -------------------------------------------------------------------------------
+# Serialized messages as the transport delivers them -> messages.
+
 
 LARGEST = 262_144  # bytes: 4000 joints
 _LARGER = {String: 2**26, JointTrajectory: 2**24}  # bytes; a scene says itself what is too long
@@ -52,3 +58,26 @@ def joint_state(cdr: bytes) -> Any:
         MessageError: As `message_of`.
     """
     return message_of(cdr, JointState)
+
+
+# ---- wrenches ---------------------------------------------------------------------------------
+# Messages of external loads.
+
+
+def read_load(msg: Any, wrench: MeasuredWrench) -> WrenchSample:
+    """The sample of a WrenchStamped.
+
+    Raises:
+        MessageError: It names the load: a frame other than that of the scene, or a component that
+            is NaN or infinite.
+    """
+    expected = wrench.expressed_in
+    try:
+        sample = read_wrench(msg)
+    except MessageError as error:
+        raise MessageError(f"wrench '{wrench.name}': {error}") from error
+    if sample.frame_id not in ("", expected):
+        raise MessageError(
+            f"wrench '{wrench.name}': frame '{sample.frame_id}', expected '{expected}'"
+        )
+    return sample

@@ -1,36 +1,397 @@
-"""The shell of every node: parameters, topics, diagnostics, time. `process.run` drives it."""
+"""The shell of every node: topics, diagnostics, life cycle, time."""
 
+import gc
 import re
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from itertools import pairwise
 from pathlib import Path
-from time import perf_counter
-from typing import Any
+from time import monotonic, perf_counter
+from types import TracebackType
+from typing import Any, NamedTuple
 
 import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockChange, JumpThreshold, TimeJump
 from rclpy.clock_type import ClockType
-from rclpy.duration import Duration
+from rclpy.duration import Duration, Infinite
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.executors import Executor
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
 from rclpy.publisher import Publisher
-from rclpy.qos import QoSProfile
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 from rclpy.subscription import Subscription
 from rclpy.timer import Timer
 
 from mbd_ros.errors import MbdError
-from mbd_ros.nodes.shell.declared import Declared
-from mbd_ros.nodes.shell.entities import Entities
-from mbd_ros.nodes.shell.health import Diagnostics, Drops, Endpoint, topic_problems
-from mbd_ros.nodes.shell.life_cycle import LifeCycle
-from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter, ParameterError
+from mbd_ros.nodes.shell.parameters import PARAMETERS, Declared, Parameter, ParameterError
 from mbd_ros.nodes.shell.serialized import message_of
 from msg_adapters.clock import read_clock
-from msg_adapters.diagnostics import ERROR, OK, WARN
+from msg_adapters.diagnostics import ERROR, OK, WARN, Health, write_diagnostics
 from msg_adapters.errors import MessageError
+
+# ---- health -----------------------------------------------------------------------------------
+# Reports of a node: dropped messages, topics that cannot work, one status.
+
+
+QUIET = 5.0  # [s] between two equal warnings
+VARIETY = 10  # different warnings for one reason within that time
+_NUMBER = re.compile(r"(?<![A-Za-z_0-9])[+-]?\d[\d.]*(e[+-]?\d+)?")  # not that of `joint7`
+
+
+class Drops:
+    """Counts ignored messages, and warns at most once per `QUIET` of the same.
+
+    Warnings that differ in numbers alone are the same. A flood of different ones is cut off at
+    `VARIETY` a reason, so that neither log nor memory follows it.
+    """
+
+    def __init__(self, warn: Callable[[str], Any]) -> None:
+        self.counts: dict[str, int] = {}
+        self._warn = warn
+        self._said: dict[str, dict[str, float]] = {}
+
+    def add(self, reason: str, text: str) -> None:
+        """Count one drop; `text` is logged unless the same was logged just before."""
+        self.counts[reason] = count = self.counts.get(reason, 0) + 1
+        now, kind = monotonic(), _NUMBER.sub("#", text)
+        said = self._said.setdefault(reason, {})
+        if now < said.get(kind, 0.0):
+            return
+        for old in [old for old, quiet_until in said.items() if quiet_until <= now]:
+            del said[old]
+        if len(said) < VARIETY:
+            said[kind] = now + QUIET
+            self._warn(f"{text} (dropped for '{reason}': {count})")
+
+
+class Endpoint(NamedTuple):
+    """A subscription or publisher under watch.
+
+    Attributes:
+        entity: The rclpy Subscription or Publisher.
+        incoming: True for a subscription.
+        single: More than one publisher is a fault.
+    """
+
+    entity: Any
+    incoming: bool
+    single: bool = False
+
+
+def topic_problems(node: Node, endpoints: Iterable[Endpoint]) -> list[str]:
+    """Why messages of some topics cannot be what the node expects, one sentence each.
+
+    The graph is asked (50 us per topic) instead of QoS events: an event tells when a fault
+    begins and never when it ends.
+    """
+    lines: list[str] = []
+    for endpoint in endpoints:
+        own, topic = _announced(endpoint.entity.qos_profile), endpoint.entity.topic_name
+        if endpoint.incoming:
+            peers = node.get_publishers_info_by_topic(topic)
+            pairs = [(peer.qos_profile, own) for peer in peers]
+        else:
+            peers = node.get_subscriptions_info_by_topic(topic)
+            pairs = [(own, peer.qos_profile) for peer in peers]
+        for peer, pair in zip(peers, pairs, strict=True):
+            verdict, reason = qos_check_compatible(*pair)
+            if verdict == QoSCompatibility.ERROR:
+                lines.append(f"{topic}: incompatible QoS with node '{peer.node_name}': {reason}")
+        if endpoint.single and len(peers) > 1:
+            names = ", ".join(sorted(peer.node_name for peer in peers))
+            lines.append(f"{topic}: {len(peers)} publishers ({names}), one was expected")
+    return lines
+
+
+def _announced(own: QoSProfile) -> QoSProfile:
+    """The profile as peers see it: a duration left out is 0 here and infinite in the graph."""
+    return QoSProfile(
+        depth=own.depth,
+        reliability=own.reliability,
+        durability=own.durability,
+        liveliness=own.liveliness,
+        deadline=own.deadline if own.deadline.nanoseconds else Infinite,
+        liveliness_lease_duration=(
+            own.liveliness_lease_duration
+            if own.liveliness_lease_duration.nanoseconds
+            else Infinite
+        ),
+    )
+
+
+class Diagnostics:
+    """The status of one node on /diagnostics."""
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(DiagnosticArray, "/diagnostics", 10)
+
+    def send(self, reasons: list[tuple[int, str]], values: Mapping[str, str]) -> None:
+        """Publish one status: the worst level, the sentences of all that are not OK.
+
+        Args:
+            reasons: Level and sentence of each part of the node, at least one.
+            values: Details.
+        """
+        level = max(level for level, _ in reasons)
+        texts = [text for own, text in reasons if text and (own != OK or level == OK)]
+        health = Health(self._node.get_fully_qualified_name(), level, "; ".join(texts), values)
+        now = self._node.get_clock().now().nanoseconds
+        self._publisher.publish(
+            write_diagnostics(DiagnosticArray(), now, health, DiagnosticStatus, KeyValue)
+        )
+
+    def flush(self) -> None:
+        """Wait until the last status has arrived, at most 0.1 s."""
+        self._publisher.wait_for_all_acked(Duration(seconds=0.1))
+
+
+# ---- entities ---------------------------------------------------------------------------------
+# Publishers, subscriptions and timers of a node, and how long they live.
+
+
+_Owned = list[tuple[Any, Callable[[], None]]]
+
+
+class Entities:
+    """Destroys entities together with the configuration or activation that made them.
+
+    Attributes:
+        endpoints: Topics under watch.
+    """
+
+    def __init__(self) -> None:
+        self.endpoints: list[Endpoint] = []
+        self._of_node: _Owned = []
+        self._of_configuration: _Owned = []
+        self._of_activation: _Owned = []
+
+    def keep(
+        self, state: str, destroy: Callable[[Any], Any], entity: Any, *watch: Endpoint
+    ) -> None:
+        """Remember an entity.
+
+        Args:
+            state: Of the life cycle; what is made before any configuration stays.
+            destroy: Destroys the entity.
+            entity: Publisher, subscription or timer.
+            watch: Its topic.
+        """
+        self.endpoints += watch
+
+        def forget() -> None:
+            self.endpoints = [kept for kept in self.endpoints if kept not in watch]
+            destroy(entity)
+
+        later = self._of_node if state == "unconfigured" else self._of_configuration
+        owned = self._of_activation if state == "activating" else later
+        owned.append((entity, forget))
+
+    def drop(self, entity: Any) -> None:
+        """Destroy one entity before its time."""
+        for owned in (self._of_node, self._of_configuration, self._of_activation):
+            for entry in [e for e in owned if e[0] is entity]:
+                owned.remove(entry)
+                entry[1]()
+
+    def release(self) -> None:
+        """Destroy what the configuration and its activation made, the newest first."""
+        self.release_activation()
+        _empty(self._of_configuration)
+
+    def release_activation(self) -> None:
+        """Destroy what the activation made, the newest first."""
+        _empty(self._of_activation)
+
+
+def _empty(owned: _Owned) -> None:
+    while owned:
+        owned.pop()[1]()
+
+
+# ---- life cycle -------------------------------------------------------------------------------
+# Life cycle of a node: its transitions, and failures of the core.
+
+
+DONE = TransitionCallbackReturn.SUCCESS
+REFUSED = TransitionCallbackReturn.FAILURE
+BROKEN = TransitionCallbackReturn.ERROR  # rclpy then calls on_error and goes to unconfigured
+
+
+class _Crash:
+    """Keeps the exception that rclpy swallows when a transition raises."""
+
+    error: BaseException | None = None
+
+    def __enter__(self) -> None: ...
+
+    def __exit__(
+        self, kind: Any, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.error = error or self.error
+
+
+class LifeCycle(LifecycleNode):
+    """The states and transitions of every node.
+
+    Attributes:
+        active: True between activation and deactivation.
+        fault: Why the node does not work; empty when nothing failed.
+    """
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self.active = False
+        self.fault = ""
+        self._crash = _Crash()
+        # rclpy raises out of this service for a transition that the state does not allow.
+        self._change_state = self._service_change_state.callback
+        self._service_change_state.callback = self._change_state_if_allowed
+
+    def configure_core(self) -> None:
+        """Build everything from `self.parameters`. An MbdError leaves the node unconfigured."""
+
+    def activate_core(self) -> None:
+        """Prepare for the first message. An MbdError leaves the node inactive."""
+
+    def deactivate_core(self) -> None:
+        """Stop, with the safe command as the last one."""
+        self.safe()
+
+    def safe(self) -> None:
+        """Send the safe command."""
+
+    def check(self) -> None:
+        """Raise the MbdError that forbids to configure, if there is one."""
+
+    def release(self) -> None:
+        """Destroy what `configure_core` and `activate_core` made in ROS."""
+
+    def release_activation(self) -> None:
+        """Destroy what `activate_core` made in ROS."""
+
+    @property
+    def state(self) -> str:
+        """Label of the state: unconfigured, inactive, active, finalized, or a transition's."""
+        return str(self._state_machine.current_state[1])
+
+    @property
+    def configured(self) -> bool:
+        """True while inactive or active."""
+        return self.state in ("inactive", "active")
+
+    def start(self) -> None:
+        """Configure and activate an unconfigured node."""
+        if self.state == "unconfigured" and self.trigger_configure() == DONE:
+            self.trigger_activate()
+
+    def fail(self, error: MbdError) -> None:
+        """Send the safe command, keep the reason for diagnostics, stop working."""
+        self._say(error)
+        if self.active:
+            self.safe_or_say()
+            self.trigger_deactivate()
+
+    def safe_or_say(self) -> None:
+        """`safe`, where its own failure must not hide the first one."""
+        try:
+            self.safe()
+        except MbdError as error:
+            self.get_logger().error(f"the safe command failed: {error}")
+
+    def raise_crash(self) -> None:
+        """Raise what a transition raised and rclpy swallowed, if anything."""
+        if self._crash.error is not None:
+            raise self._crash.error
+
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Build; a refusal leaves nothing half-built."""
+        self.fault = ""
+        gc.unfreeze()
+        result = self._attempt(self._configure, REFUSED)
+        if result != DONE:
+            self.release()
+        gc.collect()
+        gc.freeze()  # a full collection over the imports costs 11 ms
+        return result
+
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start working."""
+        self.fault = ""
+        result = self._attempt(self.activate_core, REFUSED)
+        self.active = result == DONE
+        if self.active:
+            self.get_logger().info("active")
+        else:
+            self.release_activation()
+        return result
+
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Stop working."""
+        self.active = False
+        self.get_logger().info("inactive")
+        result = self._attempt(self.deactivate_core, BROKEN)
+        self.release_activation()
+        return result
+
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Back to unconfigured."""
+        self.release()
+        return DONE
+
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Leave for good: the process stays until a signal ends it."""
+        if self.active:
+            self.active = False
+            self.safe_or_say()
+        self.release()
+        return DONE
+
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """After a failed deactivation or a crash in a transition."""
+        self.active = False
+        self.release()
+        return DONE
+
+    def _configure(self) -> None:
+        self.check()
+        self.configure_core()
+
+    def _attempt(
+        self, step: Callable[[], None], otherwise: TransitionCallbackReturn
+    ) -> TransitionCallbackReturn:
+        with self._crash:
+            try:
+                step()
+            except MbdError as error:
+                self._say(error)
+                return otherwise
+        return DONE
+
+    def _say(self, error: MbdError) -> None:
+        self.fault = str(error)
+        self.get_logger().error(f"{self.state}: {error}")
+
+    def _change_state_if_allowed(self, request: Any, response: Any) -> Any:
+        allowed = self._state_machine.available_transitions
+        ids = {row[1]: row[0] for row in allowed}
+        wanted = request.transition
+        if wanted.label in ids or (not wanted.label and wanted.id in ids.values()):
+            return self._change_state(request, response)
+        self.get_logger().warning(
+            f"transition '{wanted.label or wanted.id}' is not possible while {self.state}; "
+            f"accepted: {', '.join(ids)}"
+        )
+        response.success = False
+        return response
+
+
+# ---- shell ------------------------------------------------------------------------------------
+# The shell of every node: parameters, topics, diagnostics, time. `process.run` drives it.
+
 
 # Faults of parameter files that rcl accepts in silence: duplicate keys and keys of no node.
 

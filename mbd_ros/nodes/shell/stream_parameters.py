@@ -2,10 +2,9 @@
 
 from typing import Any
 
-from mbd_ros.core.inverse_dynamics.standing import Nearness
-from mbd_ros.core.inverse_dynamics.torque_estimator import Tuning
-from mbd_ros.nodes.shell.constructor_parameters import of
-from mbd_ros.nodes.shell.parameters import Parameter
+from mbd_ros.methods.inverse_dynamics.standing import Nearness
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Tuning
+from mbd_ros.nodes.shell.parameters import Parameter, of
 
 
 def tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:

@@ -8,13 +8,12 @@ import numpy as np
 from pinocchio import FrameType
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
+from mbd_ros.core.contracts import without_multiplier
 from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.names import without_multiplier
-from mbd_ros.core.simulation.command_watch import CommandWatch
-from mbd_ros.core.simulation.live_simulation import LiveSimulation
 from mbd_ros.files.topics import WORLD, by_member
-from mbd_ros.nodes.shell.command_inputs import command_reader
-from mbd_ros.nodes.shell.wrenches import read_load
+from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.nodes.shell.messages import command_reader
+from mbd_ros.nodes.shell.serialized import read_load
 from mbd_ros.scene.built_scene import Scene, Tell
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_motion import JointMotionWriter
@@ -23,10 +22,10 @@ from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.time import NANOSECONDS
 
 if TYPE_CHECKING:
-    from mbd_ros.core.events.event import Event
-    from mbd_ros.core.simulation.simulation import Simulation
     from mbd_ros.files.table import Table
-    from mbd_ros.nodes.simulator.drawing import Drawing
+    from mbd_ros.methods.events.event import Event
+    from mbd_ros.methods.simulation.simulation import Simulation
+    from mbd_ros.nodes.simulator.outputs import Drawing
 
 from collections.abc import Mapping
 
@@ -326,7 +325,7 @@ def _event_table() -> Callable[["Simulation", Sequence["Event"]], "Table"]:
 
 def _drawing(scene: Scene) -> "Drawing":
     """What draws arrows and cones."""
-    from mbd_ros.nodes.simulator.drawing import Drawing  # only where something is drawn
+    from mbd_ros.nodes.simulator.outputs import Drawing  # only where something is drawn
 
     return Drawing(scene.robot, root_link(scene))
 

@@ -4,11 +4,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.estimation.estimator import Belief
-from mbd_ros.core.names import without_multiplier
+from mbd_ros.core.contracts import without_multiplier
 from mbd_ros.core.state import NONE, Array, Evaluation, State
 from mbd_ros.features.estimation.estimation import Estimation
-from mbd_ros.features.estimation.innovation_watch import Consistency
+from mbd_ros.features.estimation.faults import Consistency
+from mbd_ros.methods.estimation.process import Belief
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MatrixCdrWriter, MultiArrayCdrWriter
 

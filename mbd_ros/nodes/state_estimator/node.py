@@ -8,13 +8,12 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.signals.differentiation import SampleStatus
 from mbd_ros.errors import DivergedError, SolveError
 from mbd_ros.features.estimation.tracker import Taken
-from mbd_ros.nodes.shell.command_inputs import command_reader
+from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
-from mbd_ros.nodes.shell.sensor_messages import SensorMessage
-from mbd_ros.nodes.shell.wrenches import read_load
+from mbd_ros.nodes.shell.messages import SensorMessage, command_reader
+from mbd_ros.nodes.shell.serialized import read_load
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages
 from mbd_ros.nodes.state_estimator.parameters import PARAMETERS
 from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline

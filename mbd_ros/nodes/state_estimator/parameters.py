@@ -6,8 +6,7 @@ from typing import Any
 
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
-from mbd_ros.nodes.shell.constructor_parameters import of
-from mbd_ros.nodes.shell.parameters import Parameter, ParameterError
+from mbd_ros.nodes.shell.parameters import Parameter, ParameterError, of
 from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS
 from mbd_ros.parts.estimators.moving_horizon import MovingHorizon
 

@@ -6,14 +6,13 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.model.wrenches import WrenchBuffer
+from mbd_ros.core.loads.external_loads import WrenchBuffer
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.features.estimation.estimation import EFFORTS, estimation_of
-from mbd_ros.features.estimation.lag_window import LagWindow
-from mbd_ros.features.estimation.tracker import Taken, Tracker
+from mbd_ros.features.estimation.tracker import LagWindow, Taken, Tracker
 from mbd_ros.features.estimation.unknowns import inner
+from mbd_ros.nodes.shell.messages import sensor_messages
 from mbd_ros.nodes.shell.parameters import ParameterError
-from mbd_ros.nodes.shell.sensor_messages import sensor_messages
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages, EstimateWriter
 from mbd_ros.nodes.state_estimator.parameters import TRACKER, task_of

@@ -14,7 +14,7 @@ from mbd_ros.core.model.points import Point
 from mbd_ros.core.state import Array
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.view.pull import Pulled
+from mbd_ros.view.live_robot import Pulled
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.wrench import write_wrench

@@ -21,8 +21,7 @@ from mbd_ros.nodes.web_view.leading import Leading
 from mbd_ros.nodes.web_view.parameters import PARAMETERS
 from mbd_ros.nodes.web_view.robot_topics import RobotTopics, within
 from mbd_ros.scene.reader import load_scene
-from mbd_ros.view.live_page import LivePage
-from mbd_ros.view.live_panel import REAL_TIME_FACTOR, Wish
+from mbd_ros.view.live import REAL_TIME_FACTOR, LivePage, Wish
 from mbd_ros.view.live_robot import LiveRobot
 from mbd_ros.view.server import PageServer
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN, read_diagnostics

@@ -12,11 +12,11 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from visualization_msgs.msg import MarkerArray
 
+from mbd_ros.core.contracts import without_multiplier
 from mbd_ros.core.dynamics.output_values import Showing
-from mbd_ros.core.kinematics.free_bases import configuration_of
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.poses import configuration_of
 from mbd_ros.core.model.points import Point
-from mbd_ros.core.names import without_multiplier
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import ModelError
 from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic
@@ -24,8 +24,8 @@ from mbd_ros.nodes.shell.contact_topics import contacts_of, topic_of
 from mbd_ros.nodes.shell.serialized import joint_state, message_of
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.view.curves import LiveSample
 from mbd_ros.view.frames import Frames
-from mbd_ros.view.live_curves import LiveSample
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.parts import Actuator, Channel
+from mbd_ros.core.contracts import Actuator, Channel
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotNegative, Positive, Unit

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now, Output
-from mbd_ros.core.contracts.parts import Actuator, Channel, Internal
+from mbd_ros.core.contracts import Actuator, Channel, Internal, Now, Output
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within

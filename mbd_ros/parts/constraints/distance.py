@@ -5,8 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now, Value, exerted_on
-from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.contracts import Now, Value, Wrench, exerted_on
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Positive, Unit, Vector

@@ -6,9 +6,8 @@ import numpy as np
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.multiplier_laws import Level, box
 from mbd_ros.core.ranges import OptionalDuration, Positive, Unit
-from mbd_ros.core.rows.constraint import Constraint, Row
+from mbd_ros.core.rows.constraint import Constraint, Level, Row, box
 from mbd_ros.core.state import Array, State
 
 

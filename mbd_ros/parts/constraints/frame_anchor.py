@@ -6,8 +6,7 @@ from typing import Annotated, Literal
 from mbd_ros.core.model.points import rotation_matrix
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit, Vector
-from mbd_ros.core.rows.pair_rows import PairRows
-from mbd_ros.core.rows.rotation_residual import FullRotation
+from mbd_ros.core.rows.frame_rows import FullRotation, PairRows
 from mbd_ros.errors import ModelError
 
 

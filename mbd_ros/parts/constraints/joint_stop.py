@@ -7,11 +7,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.model.joints import Joint
-from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.multiplier_laws import unilateral
+from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.ranges import OptionalDuration, Restitution, Unit
-from mbd_ros.core.rows.constraint import Constraint, Row, Stop
+from mbd_ros.core.rows.constraint import Constraint, Row, Stop, unilateral
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

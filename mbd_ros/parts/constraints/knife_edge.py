@@ -5,13 +5,11 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now, Value, exerted_on
-from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.contracts import Now, Value, Wrench, exerted_on
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.multiplier_laws import Level
 from mbd_ros.core.ranges import Unit, Vector
-from mbd_ros.core.rows.constraint import Constraint, Row
+from mbd_ros.core.rows.constraint import Constraint, Level, Row
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

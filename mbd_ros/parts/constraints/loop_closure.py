@@ -4,8 +4,7 @@ from typing import Annotated, Literal
 
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit, Vector
-from mbd_ros.core.rows.pair_rows import PairRows
-from mbd_ros.core.rows.rotation_residual import AxisRotation, FullRotation, RotationResidual
+from mbd_ros.core.rows.frame_rows import AxisRotation, FullRotation, PairRows, RotationResidual
 
 
 class LoopClosure(PairRows):

@@ -2,8 +2,8 @@
 
 from typing import Annotated
 
+from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.paths.paths import Path
 from mbd_ros.core.ranges import Unit
 from mbd_ros.core.rows.path_rows import PathRow
 

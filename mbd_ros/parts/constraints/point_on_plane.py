@@ -5,7 +5,7 @@ from typing import Annotated
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit, Vector
 from mbd_ros.core.rows.constraint import Row
-from mbd_ros.core.rows.pair_rows import PairRows, check_normal, plane_of
+from mbd_ros.core.rows.frame_rows import PairRows, check_normal, plane_of
 
 
 class PointOnPlane(PairRows):

@@ -7,11 +7,10 @@ from typing import Annotated
 import numpy as np
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
+from mbd_ros.core.model.couplings import Polynomial, natural_cubic_spline
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.multiplier_laws import drive
 from mbd_ros.core.ranges import OptionalDuration, Positive, Unit, is_value
-from mbd_ros.core.rows.constraint import Constraint, Row
+from mbd_ros.core.rows.constraint import Constraint, Row, drive
 from mbd_ros.core.state import Array, State, is_symbol
 from mbd_ros.errors import ModelError
 

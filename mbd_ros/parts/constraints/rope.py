@@ -2,10 +2,10 @@
 
 from typing import Annotated
 
+from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.multiplier_laws import unilateral
-from mbd_ros.core.paths.paths import Path
 from mbd_ros.core.ranges import OptionalDuration, Restitution, Unit
+from mbd_ros.core.rows.constraint import unilateral
 from mbd_ros.core.rows.path_rows import PathRow
 from mbd_ros.errors import ModelError
 

@@ -5,11 +5,9 @@ from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now, Output, Value
-from mbd_ros.core.contracts.parts import Internal, Load, Wrench
+from mbd_ros.core.contracts import Internal, Load, Now, Output, Value, Wrench
 from mbd_ros.core.geometry.contact_outputs import ContactShow
-from mbd_ros.core.geometry.contact_size import distance_to_mass
-from mbd_ros.core.geometry.feature_pairs import contact_pair
+from mbd_ros.core.geometry.contact_pair import contact_pair, distance_to_mass
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.loads.contact_force_laws import (

@@ -3,16 +3,14 @@
 from collections.abc import Sequence
 from typing import Annotated
 
-from mbd_ros.core.contracts.outputs import Now, Value
-from mbd_ros.core.contracts.parts import Wrench
+from mbd_ros.core.contracts import Now, Value, Wrench
 from mbd_ros.core.geometry.contact_outputs import ContactShow
-from mbd_ros.core.geometry.feature_pairs import contact_pair
+from mbd_ros.core.geometry.contact_pair import contact_pair
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.multiplier_laws import cone
 from mbd_ros.core.ranges import NotNegative, Unit, Within
-from mbd_ros.core.rows.constraint import Constraint, Row
+from mbd_ros.core.rows.constraint import Constraint, Row, cone
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 

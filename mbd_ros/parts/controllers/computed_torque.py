@@ -4,20 +4,22 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.control.contract import (
+from mbd_ros.core.ranges import Gain, Unit
+from mbd_ros.core.state import Array, State
+from mbd_ros.methods.control.contract import (
     Control,
     ControlledJoints,
     Controller,
     EffortBox,
+    LoopGains,
     Reference,
     Response,
+    disturbance,
+    pd_gains,
     per_joint,
 )
-from mbd_ros.core.control.delay_margin import LoopGains, disturbance, pd_gains
-from mbd_ros.core.control.mobility_factor import MobilityFactor
-from mbd_ros.core.control.sliding import sliding_variable
-from mbd_ros.core.ranges import Gain, Unit
-from mbd_ros.core.state import Array, State
+from mbd_ros.methods.control.efforts import MobilityFactor
+from mbd_ros.methods.control.sliding_mode import sliding_variable
 
 
 class ComputedTorque(Controller):

@@ -5,24 +5,24 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.control.contract import (
+from mbd_ros.core.optimization.hard_soft_qp import Candidate, Counts, HardSoftQp
+from mbd_ros.core.ranges import Gain, Unit, Within
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+from mbd_ros.methods.control.contract import (
     Control,
     ControlledJoints,
     Controller,
     EffortBox,
+    LoopGains,
     Reference,
     Response,
+    disturbance,
+    pd_gains,
     per_joint,
 )
-from mbd_ros.core.control.delay_margin import LoopGains, disturbance, pd_gains
-from mbd_ros.core.control.motion_limits import AccelerationBox, MotionLimits
-from mbd_ros.core.control.sliding import sliding_variable
-from mbd_ros.core.control.tracking_metric import TrackingMetric
-from mbd_ros.core.optimization.hard_soft_optimum import Candidate
-from mbd_ros.core.optimization.hard_soft_qp import Counts, HardSoftQp
-from mbd_ros.core.ranges import Gain, Unit, Within
-from mbd_ros.core.state import Array, State
-from mbd_ros.errors import SolveError
+from mbd_ros.methods.control.efforts import AccelerationBox, MotionLimits, TrackingMetric
+from mbd_ros.methods.control.sliding_mode import sliding_variable
 
 
 class QpTracking(Controller):

@@ -4,21 +4,21 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.control.contract import (
+from mbd_ros.core.ranges import Gain, Unit, Within
+from mbd_ros.core.state import Array, State
+from mbd_ros.methods.control.contract import (
     Control,
     ControlledJoints,
     Controller,
     EffortBox,
+    LoopGains,
     Reference,
     Response,
     per_joint,
+    sliding_gains,
 )
-from mbd_ros.core.control.delay_margin import LoopGains, sliding_gains
-from mbd_ros.core.control.mobility_factor import MobilityFactor
-from mbd_ros.core.control.reaching_laws import ReachingLaw, ReachingName
-from mbd_ros.core.control.sliding import sliding_variable
-from mbd_ros.core.ranges import Gain, Unit, Within
-from mbd_ros.core.state import Array, State
+from mbd_ros.methods.control.efforts import MobilityFactor
+from mbd_ros.methods.control.sliding_mode import ReachingLaw, ReachingName, sliding_variable
 
 
 class SlidingMode(Controller):

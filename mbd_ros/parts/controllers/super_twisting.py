@@ -4,21 +4,25 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.control.contract import (
+from mbd_ros.core.ranges import Gain, Unit
+from mbd_ros.core.state import Array, State
+from mbd_ros.methods.control.contract import (
     Control,
     ControlledJoints,
     Controller,
     EffortBox,
+    LoopGains,
     Reference,
     Response,
     per_joint,
+    sliding_gains,
 )
-from mbd_ros.core.control.delay_margin import LoopGains, sliding_gains
-from mbd_ros.core.control.mobility_factor import MobilityFactor
-from mbd_ros.core.control.sliding import sliding_variable
-from mbd_ros.core.control.super_twisting import reaching_time_bound, super_twisting
-from mbd_ros.core.ranges import Gain, Unit
-from mbd_ros.core.state import Array, State
+from mbd_ros.methods.control.efforts import MobilityFactor
+from mbd_ros.methods.control.sliding_mode import (
+    reaching_time_bound,
+    sliding_variable,
+    super_twisting,
+)
 
 _ROOT = 1.1128  # describing function of |s|^(1/2) sgn s at amplitude 1: 4/pi times a beta function
 

@@ -2,16 +2,16 @@
 
 import numpy as np
 
-from mbd_ros.core.control.contract import (
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError
+from mbd_ros.methods.control.contract import (
     Control,
     ControlledJoints,
     Controller,
     EffortBox,
     Reference,
 )
-from mbd_ros.core.control.tracking_plan import TrackingPlan
-from mbd_ros.core.state import Array, State
-from mbd_ros.errors import ModelError
+from mbd_ros.methods.control.tracking_plan import TrackingPlan
 
 _NONE = np.zeros(0, dtype=np.bool_)
 

@@ -2,9 +2,9 @@
 
 from typing import Annotated
 
-from mbd_ros.core.estimation.kalman_filter import KalmanFilter
-from mbd_ros.core.estimation.process import Process
 from mbd_ros.core.ranges import Unit, Within
+from mbd_ros.methods.estimation.kalman_filter import KalmanFilter
+from mbd_ros.methods.estimation.process import Process
 
 
 class ExtendedKalman(KalmanFilter):

@@ -1,8 +1,8 @@
 """Kalman filter of a linear process."""
 
-from mbd_ros.core.estimation.kalman_filter import KalmanFilter
-from mbd_ros.core.estimation.process import LinearProcess
 from mbd_ros.errors import ModelError
+from mbd_ros.methods.estimation.kalman_filter import KalmanFilter
+from mbd_ros.methods.estimation.process import LinearProcess
 
 
 class Kalman(KalmanFilter):

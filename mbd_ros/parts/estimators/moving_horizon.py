@@ -7,20 +7,18 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 
-from mbd_ros.core.estimation.estimator import Belief, Estimator, Measurement
-from mbd_ros.core.estimation.horizon_chain import HorizonChain
-from mbd_ros.core.estimation.horizon_nodes import Answer, Arrival, Node
-from mbd_ros.core.estimation.horizon_window import HorizonProgram
-from mbd_ros.core.estimation.kalman_update import Innovation, Update, updated
-from mbd_ros.core.estimation.process import Observation, Process
 from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError, SolveError
+from mbd_ros.methods.estimation.horizon_chain import Answer, Arrival, HorizonChain, Node
+from mbd_ros.methods.estimation.horizon_window import HorizonProgram
+from mbd_ros.methods.estimation.kalman_update import Innovation, Update, updated
+from mbd_ros.methods.estimation.process import Belief, Estimator, Measurement, Observation, Process
 
 
 class MovingHorizon(Estimator):
-    """The most likely motion of a window of samples, see `core/estimation/horizon_window.py`.
+    """The most likely motion of a window of samples, see `methods/estimation/horizon_window.py`.
 
     A sample that leaves the window leaves its arrival cost behind: the estimate that was made of
     its successor then, with the covariance of the Kalman filter. A correction takes up to

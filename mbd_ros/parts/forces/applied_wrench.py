@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from mbd_ros.core.contracts.parts import Load, Wrench
+from mbd_ros.core.contracts import Load, Wrench
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit, Vector

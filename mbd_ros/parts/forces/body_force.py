@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 
 import numpy as np
 
-from mbd_ros.core.contracts.parts import Channel, Load, Wrench
+from mbd_ros.core.contracts import Channel, Load, Wrench
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Positive, Unit, Vector

@@ -5,16 +5,22 @@ from typing import Annotated, Any
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now, Output, Value
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load, Now, Output, Value
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.learned.corrections import Corrections
-from mbd_ros.core.learned.model_file import LARGEST, About, LearnedFile, about, check_robot
-from mbd_ros.core.learned.training_range import FADE, TrainingRange
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Positive, Unit
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError, install_hint
+from mbd_ros.methods.learned import (
+    FADE,
+    LARGEST,
+    About,
+    Corrections,
+    LearnedFile,
+    TrainingRange,
+    about,
+    check_robot,
+)
 
 _INPUTS = ("position", "velocity")
 _TORQUE, _SPREAD, _INERTIA = "torque", "spread", "inertia"

@@ -3,11 +3,11 @@
 import math
 from typing import Annotated
 
-from mbd_ros.core.contracts.parts import Channel
+from mbd_ros.core.contracts import Channel
 from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.loads.path_load import PathLoad
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.paths.paths import Path
 from mbd_ros.core.ranges import Positive, Unit
 from mbd_ros.core.state import Array, State
 

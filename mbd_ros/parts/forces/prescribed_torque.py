@@ -5,9 +5,9 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.parts import Load
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.loads.symbolic_tables import between_samples
+from mbd_ros.core.loads.inputs import between_samples
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit
 from mbd_ros.core.state import Array, State, is_symbol

@@ -5,10 +5,10 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.parts import Load, Wrench
+from mbd_ros.core.contracts import Load, Wrench
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
-from mbd_ros.core.loads.external_wrench import ExternalWrench
-from mbd_ros.core.loads.input_sources import LinearTable
+from mbd_ros.core.loads.external_loads import ExternalWrench
+from mbd_ros.core.loads.inputs import LinearTable
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Length, NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, State

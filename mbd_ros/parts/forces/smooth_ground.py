@@ -4,8 +4,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now, Output
-from mbd_ros.core.contracts.parts import Load, Wrench
+from mbd_ros.core.contracts import Load, Now, Output, Wrench
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotNegative, Positive, Unit, Vector

@@ -5,13 +5,13 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.model.coupling_functions import Polynomial
+from mbd_ros.core.model.couplings import Polynomial
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
+from mbd_ros.methods.events.mode_field import DiscontinuousForce
 
 
 class SwitchingForce(DiscontinuousForce):

@@ -4,11 +4,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mbd_ros.core.integration.adams_matrices import adams_weights
-from mbd_ros.core.integration.adams_steps import AdamsSteps
-from mbd_ros.core.integration.linear_motion import LinearMotion, spectral_radius
-from mbd_ros.core.integration.stepping import Integrator
 from mbd_ros.errors import ModelError
+from mbd_ros.methods.integration.adams import AdamsSteps, adams_weights
+from mbd_ros.methods.integration.linear_motion import LinearMotion, spectral_radius
+from mbd_ros.methods.integration.stepping import Integrator
 
 _ORDERS = range(2, 9)
 _STABLE = (0.25, 0.25, 0.15, 0.08, 0.043, 0.023, 0.012)  # rate * dt of each order

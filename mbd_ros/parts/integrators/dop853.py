@@ -3,12 +3,15 @@
 import math
 from typing import Any, ClassVar
 
-from mbd_ros.core.integration.adaptive_runge_kutta import check_tolerance, runge_kutta
-from mbd_ros.core.integration.dop853_tableau import DOP853
-from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
-from mbd_ros.core.integration.runge_kutta import RungeKutta
-from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.integration.tableau import Tableau
+from mbd_ros.methods.integration.dop853_tableau import DOP853
+from mbd_ros.methods.integration.linear_motion import LinearMotion, runge_kutta_growth
+from mbd_ros.methods.integration.runge_kutta import (
+    RungeKutta,
+    Tableau,
+    check_tolerance,
+    runge_kutta,
+)
+from mbd_ros.methods.integration.stepping import Integrator
 
 
 class Dop853(Integrator):

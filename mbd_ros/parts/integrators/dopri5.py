@@ -5,11 +5,15 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from mbd_ros.core.integration.adaptive_runge_kutta import check_tolerance, runge_kutta
-from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
-from mbd_ros.core.integration.runge_kutta import RungeKutta
-from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.integration.tableau import Tableau, matrix
+from mbd_ros.methods.integration.linear_motion import LinearMotion, runge_kutta_growth
+from mbd_ros.methods.integration.runge_kutta import (
+    RungeKutta,
+    Tableau,
+    check_tolerance,
+    matrix,
+    runge_kutta,
+)
+from mbd_ros.methods.integration.stepping import Integrator
 
 # fmt: off
 _STEP = [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84, 0]

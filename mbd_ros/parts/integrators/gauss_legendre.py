@@ -6,14 +6,12 @@ from typing import Any, ClassVar
 import numpy as np
 
 from mbd_ros.core.dynamics.linearization import Linearization
-from mbd_ros.core.integration.newton import FAILED, SLOW, converge
-from mbd_ros.core.integration.polynomial import integrals
-from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
-from mbd_ros.core.memory import Memory
-from mbd_ros.core.state import Array, Mode, State
+from mbd_ros.core.state import Array, Memory, Mode, State
 from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, ModelError
+from mbd_ros.methods.integration.newton import FAILED, SLOW, converge
+from mbd_ros.methods.integration.polynomial import integrals
+from mbd_ros.methods.integration.stepping import Integrator, Stepper, clip
 
 
 class GaussLegendre(Integrator):

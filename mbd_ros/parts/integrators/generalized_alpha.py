@@ -5,13 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.dynamics.residual_force import balance_of
-from mbd_ros.core.integration.newton import FAILED, SLOW, converge, refuse_bounded_rows
-from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.dynamics.linearization import balance_of
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import DivergedError, ModelError
+from mbd_ros.methods.integration.newton import FAILED, SLOW, converge, refuse_bounded_rows
+from mbd_ros.methods.integration.stepping import Integrator, Stepper, clip
 
 
 class GeneralizedAlpha(Integrator):

@@ -5,11 +5,10 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
+from mbd_ros.core.nonsmooth.moreau_jean_step import VelocityStep
 from mbd_ros.core.ranges import Within
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.time_stepping.time_step import VelocityStep
+from mbd_ros.methods.integration.stepping import Integrator, Stepper, clip
 
 
 class MoreauJean(Integrator):
@@ -95,6 +94,6 @@ class _Steps(Stepper):
 def _velocity_step(system: Any, theta: float) -> VelocityStep:
     if not system.robot.bases:
         return VelocityStep(system, theta)
-    from mbd_ros.core.time_stepping.free_body_step import FreeBodyStep
+    from mbd_ros.core.nonsmooth.moreau_jean_step import FreeBodyStep
 
     return FreeBodyStep(system, theta)

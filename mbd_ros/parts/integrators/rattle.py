@@ -3,13 +3,11 @@
 import math
 from typing import Any
 
-from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
-from mbd_ros.core.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
-from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
-from mbd_ros.core.memory import Memory
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Memory, State
 from mbd_ros.errors import ModelError
+from mbd_ros.methods.integration.constrained_verlet import ConstrainedVerlet, PositionStep
+from mbd_ros.methods.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
+from mbd_ros.methods.integration.stepping import Integrator, Stepper, clip
 
 
 class Rattle(Integrator):
@@ -51,7 +49,7 @@ class Rattle(Integrator):
             ModelError: The system has one-sided rows, or rows of velocities.
         """
         if hasattr(system, "clusters"):
-            from mbd_ros.core.particles.verlet_steps import ParticleVerlet
+            from mbd_ros.methods.particles.verlet_steps import ParticleVerlet
 
             return ParticleVerlet(system, self.tolerance, dt)
         refuse_bounded_rows(system, "rattle")

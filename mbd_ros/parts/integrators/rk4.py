@@ -2,10 +2,9 @@
 
 from typing import Any, ClassVar
 
-from mbd_ros.core.integration.linear_motion import LinearMotion, runge_kutta_growth
-from mbd_ros.core.integration.runge_kutta import RungeKutta
-from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.integration.tableau import RK4, Tableau
+from mbd_ros.methods.integration.linear_motion import LinearMotion, runge_kutta_growth
+from mbd_ros.methods.integration.runge_kutta import RK4, RungeKutta, Tableau
+from mbd_ros.methods.integration.stepping import Integrator
 
 
 class Rk4(Integrator):

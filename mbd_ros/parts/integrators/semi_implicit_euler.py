@@ -6,12 +6,10 @@ from typing import Any, ClassVar, Literal
 import numpy as np
 
 from mbd_ros.core.dynamics.linearization import Linearization
-from mbd_ros.core.integration.linear_motion import LinearMotion, spectral_radius
-from mbd_ros.core.integration.spring_motion import SpringMotion
-from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError
+from mbd_ros.methods.integration.linear_motion import LinearMotion, SpringMotion, spectral_radius
+from mbd_ros.methods.integration.stepping import Integrator, Stepper, clip
 
 _ROUNDED = 1.0e-12  # Of the largest eigenvalue.
 

@@ -3,13 +3,11 @@
 import math
 from typing import Any, Literal
 
-from mbd_ros.core.integration.constrained_verlet import ConstrainedVerlet, PositionStep
-from mbd_ros.core.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
-from mbd_ros.core.integration.step_length import clip
-from mbd_ros.core.integration.stepping import Integrator, Stepper
-from mbd_ros.core.memory import Memory
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, Memory, State
 from mbd_ros.errors import ModelError
+from mbd_ros.methods.integration.constrained_verlet import ConstrainedVerlet, PositionStep
+from mbd_ros.methods.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
+from mbd_ros.methods.integration.stepping import Integrator, Stepper, clip
 
 
 class Shake(Integrator):
@@ -58,7 +56,7 @@ class Shake(Integrator):
             ModelError: The system has one-sided rows, or rows of velocities.
         """
         if hasattr(system, "clusters"):
-            from mbd_ros.core.particles.verlet_steps import ParticleShake, ParticleVerlet
+            from mbd_ros.methods.particles.verlet_steps import ParticleShake, ParticleVerlet
 
             if self.velocity == "unprojected":
                 return ParticleVerlet(system, self.tolerance, dt, projects=False)

@@ -3,9 +3,9 @@
 from collections.abc import Sequence
 from typing import Annotated, Literal
 
+from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.muscles.activation import FirstOrder
-from mbd_ros.core.muscles.contraction import Contraction, check_sizes
+from mbd_ros.core.muscles.contraction import Angle, Contraction, check_sizes, pennation
 from mbd_ros.core.muscles.millard_curves import (
     MillardCurves,
     active_curve,
@@ -13,9 +13,7 @@ from mbd_ros.core.muscles.millard_curves import (
     tendon_curve,
     velocity_curve,
 )
-from mbd_ros.core.muscles.muscle import Muscle
-from mbd_ros.core.muscles.pennation import Angle, pennation
-from mbd_ros.core.paths.paths import Path
+from mbd_ros.core.muscles.muscle import FirstOrder, Muscle
 from mbd_ros.core.ranges import SMALLEST, Length, NotNegative, Positive, Unit, Within
 from mbd_ros.errors import ModelError
 

@@ -2,13 +2,11 @@
 
 from typing import Annotated, Literal
 
+from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.muscles.activation import FirstOrder
-from mbd_ros.core.muscles.contraction import Contraction, check_sizes
-from mbd_ros.core.muscles.muscle import Muscle
-from mbd_ros.core.muscles.pennation import Angle, pennation
+from mbd_ros.core.muscles.contraction import Angle, Contraction, check_sizes, pennation
+from mbd_ros.core.muscles.muscle import FirstOrder, Muscle
 from mbd_ros.core.muscles.thelen_curves import ThelenCurves
-from mbd_ros.core.paths.paths import Path
 from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within
 
 _SHARE = Within(1.0e-6, 0.999)

@@ -5,8 +5,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Kind, Now, Output, Value
-from mbd_ros.core.contracts.sensor import Measures, Sensor
+from mbd_ros.core.contracts import Kind, Measures, Now, Output, Sensor, Value
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotNegative, Unit, Vector

@@ -5,10 +5,9 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now
-from mbd_ros.core.contracts.sensor import Measures, Sensor
+from mbd_ros.core.contracts import Measures, Now, Sensor
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
-from mbd_ros.core.kinematics.rotations import (
+from mbd_ros.core.kinematics.poses import (
     nearest_rotation_vector,
     rotation_vector,
     rotation_vector_slope,

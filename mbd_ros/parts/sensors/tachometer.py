@@ -4,8 +4,7 @@ from typing import Annotated
 
 import numpy as np
 
-from mbd_ros.core.contracts.outputs import Now
-from mbd_ros.core.contracts.sensor import Measures, Sensor
+from mbd_ros.core.contracts import Measures, Now, Sensor
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotNegative, Unit

@@ -1,8 +1,8 @@
 """Feedback of position and velocity violations into the acceleration."""
 
-from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.ranges import Duration
 from mbd_ros.errors import ModelError
+from mbd_ros.methods.projection.assembly import Stabilization
 
 
 class Baumgarte(Stabilization):

@@ -1,6 +1,6 @@
 """No stabilization: g'' = 0 and nothing else."""
 
-from mbd_ros.core.projection.stabilization import Stabilization
+from mbd_ros.methods.projection.assembly import Stabilization
 
 
 class NoStabilization(Stabilization):

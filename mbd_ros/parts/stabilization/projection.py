@@ -1,9 +1,8 @@
 """Projection of position and velocity onto the constraints after every step."""
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.projection.assembly import project
-from mbd_ros.core.projection.stabilization import Stabilization
 from mbd_ros.core.state import State
+from mbd_ros.methods.projection.assembly import Stabilization, project
 
 
 class Projection(Stabilization):

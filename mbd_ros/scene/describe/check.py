@@ -3,32 +3,125 @@
 import math
 import sys
 import timeit
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
+from itertools import repeat
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.mass_check import check_mass
-from mbd_ros.core.dynamics.phase_queries import inward
-from mbd_ros.core.dynamics.system import System, evaluation_at
+from mbd_ros.core.contracts import Part
+from mbd_ros.core.dynamics.mass import check_mass
+from mbd_ros.core.dynamics.system import System, evaluation_at, inward
 from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.integration.linear_motion import linear_motion, longest_step
-from mbd_ros.core.inverse_dynamics.reach import listed
-from mbd_ros.core.projection.assembly import assemble
-from mbd_ros.core.rows.row_factor import RowFactor
-from mbd_ros.core.state import State
+from mbd_ros.core.kinematics.kinematics import Reads
+from mbd_ros.core.loads.internal_states import Internals
+from mbd_ros.core.rows.constraint import Kind
+from mbd_ros.core.rows.constraint_rows import RowLayout
+from mbd_ros.core.rows.delassus import RowFactor
+from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TOGGLE
-from mbd_ros.errors import SolveError
+from mbd_ros.errors import DivergedError, SolveError
+from mbd_ros.methods.integration.linear_motion import linear_motion, longest_step
+from mbd_ros.methods.integration.stepping import BlockStepper, Integrator
+from mbd_ros.methods.integration.stiffness_window import GAIN, Window, touching_motion, windows
+from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.projection.assembly import assemble
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import DEFAULT_STABLE, Scene, Tell
-from mbd_ros.scene.describe.part_lines import (
-    line,
-    member_lines,
-    part_lines,
-    type_name,
-    unused_rubbing,
-)
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
+from mbd_ros.scene.reading.building import parts_in
+
+# ---- part lines -------------------------------------------------------------------------------
+# Lines of `mbd-ros check` about robots, bodies and parts, these by texts of their sections.
+
+
+def member_lines(scene: Scene) -> Iterator[str]:
+    """The robots and the other bodies."""
+    robot, bodies = scene.robot, scene.parts.get("bodies", {})
+    if len(robot.recipes) == 1 and not robot.recipes[0].name:
+        yield line("robot", f"{robot.name} from {scene.source}, {robot.base_text}")
+        return
+    for recipe in robot.recipes:
+        if recipe.name in bodies:
+            how = "free" if recipe.base == "floating" else "placed"
+            yield line("body", f"{recipe.name} from {recipe.source}, {how}")
+        else:
+            name = f"{recipe.name} from " if recipe.name else ""
+            yield line("robot", f"{name}{recipe.source}, {recipe.base} base")
+
+
+def part_lines(scene: Scene) -> Iterator[str]:
+    """A line for every part whose section has a text: loads, then rows; then their states."""
+    for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
+        if section.check and section.key in scene.parts:
+            label, _, text = section.check.partition(":")
+            built = scene.parts[section.key]
+            keys = built if isinstance(built, Mapping) else repeat("")
+            for key, part in zip(keys, parts_in(section, built), strict=False):
+                words = {"name": key, **_words(part)}
+                yield line(label, text.strip().format(part=part, **words))
+    yield from _state_lines(scene.internals, scene.initial.z)
+
+
+def unused_rubbing(scene: Scene) -> Iterator[str]:
+    """Friction and damping of the description that no part of the scene brings in."""
+    covered: set[tuple[str, str]] = set()
+    for part in (*scene.forces, *scene.constraints):
+        joint = getattr(getattr(part, "joint", None), "name", None)
+        covered.update((key, joint) for key in getattr(part, "brings", ()) if joint)
+    for key in ("friction", "damping"):
+        names = [n for n, rub in scene.robot.rubbing.items() if getattr(rub, key)]
+        lacking = [name for name in names if (key, name) not in covered]
+        if lacking:
+            yield f"URDF <dynamics> {key} of {', '.join(lacking)}"
+
+
+def _state_lines(internals: Internals, z: Array) -> Iterator[str]:
+    """A line for every internal state.
+
+    Args:
+        internals: Of the scene.
+        z: First values, NaN for those that the parts choose.
+    """
+    for i, first in enumerate(internals.completed(z).tolist()):
+        bounds = (internals.lower[i], internals.upper[i])
+        unit = f" [{internals.units[i]}]" if internals.units[i] else ""
+        text = "starts at equilibrium" if math.isnan(first) else f"starts at {first:g}"
+        inside = f", in {bounds[0]:g} .. {bounds[1]:g}" if np.isfinite(bounds).any() else ""
+        yield line("state", f"{internals.names[i]}{unit}, {text}{inside}")
+
+
+def _words(part: Any) -> dict[str, str]:
+    """Words for a part that texts of sections may use."""
+    where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
+    names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
+    words = {"kind": type_name(part), "at": f" at {names}" if names else ""}
+    words |= {"rows": "", "law": "", "contact": ""}
+    if hasattr(part, "pair") and hasattr(part, "features"):
+        words["contact"] = contact_words(part)
+    if isinstance(part, Part):
+        words["name"] = part.name
+    if hasattr(part, "rows"):
+        words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
+        words["law"] = part.law.kind.value
+    return words
+
+
+def line(label: str, text: str) -> str:
+    """A line of `check`."""
+    return f"{label:<12}{text}"
+
+
+def type_name(part: object) -> str:
+    """Name of the class of a part."""
+    return type(part).__name__
+
+
+# ---- check ------------------------------------------------------------------------------------
+# The parts that a scene builds and leaves out, and the cost of a call.
+
 
 # What a call of the equations of a scene costs, measured.
 
@@ -126,12 +219,6 @@ def _windows(scene: Scene, system: System, x: State) -> Iterator[str]:
     parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
     if not parts:
         return
-    from mbd_ros.scene.describe.window_lines import (
-        depth_doubts,
-        window_doubts,
-        window_text,
-        windows_at,
-    )
 
     method = scene.method
     start = system.expand(x)
@@ -198,8 +285,6 @@ def _lines(scene: Scene, tell: Tell | None) -> Iterator[str]:
         yield from _reach(scene, system.expand(start))
     yield line("forward", f"refused: {fault}" if fault else _forward(scene, system))
     if scene.solver.compiles:
-        from mbd_ros.scene.describe.compiled_lines import compiled_lines
-
         yield from compiled_lines(scene, not fault, tell)
     yield from (line("warning", text) for text in robot.doubts)
     yield from _warnings(scene, system, start, factor)
@@ -214,8 +299,6 @@ def _lines(scene: Scene, tell: Tell | None) -> Iterator[str]:
 
 def _row_lines(scene: Scene, system: System) -> Iterator[str]:
     if system.layout.yielding:
-        from mbd_ros.scene.describe.row_lines import row_lines
-
         yield from row_lines(scene, system.layout)
 
 
@@ -287,7 +370,7 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
 def _apart(system: System, y: State) -> State:
     if not system.layout.cones:
         return y
-    from mbd_ros.core.projection.overlap import without_overlap
+    from mbd_ros.methods.projection.overlap import without_overlap
 
     return without_overlap(system, y)
 
@@ -295,7 +378,7 @@ def _apart(system: System, y: State) -> State:
 def _settled(system: System, y: State) -> State:
     if not system.internals.nz:
         return y
-    from mbd_ros.core.dynamics.equilibrium import settled
+    from mbd_ros.core.dynamics.internal_dynamics import settled
 
     return settled(system, y, None)
 
@@ -341,3 +424,227 @@ def _inverse(scene: Scene) -> str:
     if parts:
         return f"from columns of the forces of {parts} alone, which has internal states"
     return tier(scene)
+
+
+# ---- row lines --------------------------------------------------------------------------------
+# Lines of `mbd-ros check` about rows that give way: exact or smoothed, and what that costs.
+
+
+SMOOTHED_ORDER = 2  # across a kink of the accelerations, of any method
+
+
+def row_lines(scene: Scene, layout: RowLayout) -> Iterator[str]:
+    """A line for exact rows and one for smoothed ones, where there are any.
+
+    Methods at the velocity level solve for both alike.
+
+    Source: E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 1993,
+    II.6, on the order of steps across discontinuities.
+
+    Args:
+        scene: The scene.
+        layout: Its rows, some of which give way.
+    """
+    method = scene.method
+    name, order = type_name(method), method.order
+    if method.at_velocity_level:
+        names = listed([block.part.name for block in layout.yielding])
+        yield line("stepped", f"{names}; solved for once a step of {name}, impacts included")
+        return
+    exact, smoothed = (
+        [block.part.name for block in layout.yielding if block.smoothed is is_smoothed]
+        for is_smoothed in (False, True)
+    )
+    if exact:
+        text = "steps end where rows begin and cease to act"
+        yield line("exact", f"{listed(exact)}; {text}, {name} keeps its order {order}")
+    if smoothed:
+        where = "in steps in which a row begins or ceases to act"
+        cost = f"{name} has order {SMOOTHED_ORDER} in place of {order} {where}"
+        if order <= SMOOTHED_ORDER:
+            cost = f"{name} has order {order} all the same"
+        yield line("smoothed", f"{listed(smoothed)}; solved for in every evaluation, {cost}")
+
+
+# ---- contact lines ----------------------------------------------------------------------------
+# What `mbd-ros check` says of a contact: its bodies, its features, and who can integrate it.
+
+
+def contact_words(part: Any) -> str:
+    """Bodies and features, and whether events of a rigid contact can be found.
+
+    Args:
+        part: A contact.
+    """
+    a, b = part.pair.between
+    count = f"{len(part.features)} features: " if len(part.features) > 1 else ""
+    text = f"between {a.frame} and {b.frame}, {count}{listed(part.features)}"
+    law = getattr(part, "law", None)
+    if law is None or law.kind is not Kind.CONE:
+        return text
+    if part.pair.is_smooth:
+        return f"{text}; smooth, for event-driven integrators and moreau_jean"
+    return f"{text}; for moreau_jean, not event-driven: {part.pair.why_not}"
+
+
+# ---- compiled lines ---------------------------------------------------------------------------
+# Compiled steps in `mbd-ros check`: operations, times, or what keeps them plain.
+
+
+_STEPS, _COMPILED_LINES_REPEATS = 1000, 5
+
+
+def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> Iterator[str]:
+    """What was compiled for a scene that asks for it, and what a step costs.
+
+    Args:
+        scene: The scene.
+        has_start: Whether it has a start from which steps can be taken.
+        tell: Is told what takes time.
+
+    Raises:
+        SceneError: It demands compiled steps and cannot have them.
+    """
+    simulation = scene.simulation(tell=tell)
+    is_compiled = isinstance(simulation.stepper, BlockStepper)
+    text = simulation.how.partition(": ")[2]
+    if is_compiled and has_start:
+        text += _costs(scene, simulation)
+    yield line("compiled", text if is_compiled else f"not: {text}")
+
+
+def _costs(scene: Scene, simulation: Simulation) -> str:
+    """Times of a step, empty where the first one fails."""
+    plain = scene.simulation(solver={"type": "plain"})
+    try:
+        ours, theirs = _step_time(simulation, scene), _step_time(plain, scene)
+    except (DivergedError, SolveError):
+        return ""
+    if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.plain_steps:
+        return "; plain steps at the start, where rows are near dependence"
+    name = plain.integrator.title
+    return f"; one step of {name} {ours * 1e6:.2g} us, plain {theirs * 1e6:.3g} us"
+
+
+def _step_time(simulation: Simulation, scene: Scene) -> float:
+    """Shortest time of a step from the start on, with its corrections [s]."""
+    y = simulation.start(scene.initial)
+    u, stepper = simulation.system.loads.sources.held(y.t), simulation.stepper
+    if isinstance(stepper, BlockStepper):
+        return _shortest(lambda: stepper.stride(y, u, math.inf, _STEPS)[1])
+    return _shortest(lambda: _advanced(simulation, y, u))
+
+
+def _advanced(simulation: Simulation, y: State, u: Array | None) -> int:
+    """Number of steps to the next sample."""
+    before = simulation.steps
+    simulation.advance(y, u, y.t + simulation.dt)
+    return simulation.steps - before
+
+
+def _shortest(steps: Callable[[], int]) -> float:
+    """Time of one of the steps that a function takes and counts [s]."""
+    times = []
+    for _ in range(_COMPILED_LINES_REPEATS):
+        begin = timeit.default_timer()
+        count = steps()
+        times.append((timeit.default_timer() - begin) / max(count, 1))
+    return min(times)
+
+
+# ---- window lines -----------------------------------------------------------------------------
+# The window of the stiffness of compliant contacts, in words.
+
+
+_SLACK = 1.0e-9  # relative
+
+
+def windows_at(
+    system: System, parts: Sequence[Any], method: Integrator, dt: float, x: State
+) -> list[Window]:
+    """The windows of contacts at a state, as if each touched with its nearest features.
+
+    Args:
+        system: The system.
+        parts: Contacts that give way.
+        method: The integrator.
+        dt: Its step [s].
+        x: State of all joints.
+    """
+    return windows(touching_motion(system, parts, x), method, dt)
+
+
+def window_text(window: Window, method: Integrator, dt: float) -> str:
+    """Both ends of a window, and what they are made for."""
+    part, name = window.part, type(method).__name__
+    unit = _unit(part)
+    many = f" on one of {window.features} features" if window.features > 1 else ""
+    pressed = f"{window.load:.3g} N at most{many}"
+    deep = f", {part.max_penetration:.3g} m deep" if part.max_penetration else ""
+    if method.stable == math.inf:
+        upper = f"to any, which steps of {name} adapt to"
+    elif not method.is_explicit:
+        upper = f"to any, which {name} follows"
+    elif window.upper == math.inf:
+        upper = f"to any ({name} at dt {dt:g} s)"
+    else:
+        upper = f"to {window.upper:.4g} ({name} at dt {dt:g} s)"
+    if not math.isnan(window.impacts):
+        upper += f", for impacts to {window.impacts:.3g} (rebounds at most {GAIN:.0%} faster)"
+    stiffness = f"stiffness {part.normal.stiffness:.4g} {unit}"
+    return f"{part.name}: {stiffness}, from {window.lower:.4g} ({pressed}{deep}) {upper}"
+
+
+def window_doubts(window: Window, method: Integrator, dt: float) -> Iterator[str]:
+    """Warnings of a stiffness outside its window, with the step that opens it."""
+    part, name = window.part, type(method).__name__
+    k, unit = part.normal.stiffness, _unit(part)
+    here = f"{part.name}: stiffness {k:.4g} {unit}"
+    ends = f"{window.lower:.4g} .. {window.upper:.4g} {unit} at dt {dt:g} s"
+    if window.upper == 0.0:
+        yield (
+            f"{part.name}: no stiffness is within its window at dt {dt:g} s: its dampers and its "
+            f"friction alone need steps of {name} with dt < {window.longest:.3g} s"
+        )
+    elif k > window.upper * (1.0 + _SLACK):
+        yield (
+            f"{here} is above its window, {ends}: steps of {name} need dt < {window.longest:.3g} s"
+        )
+    if k < window.lower * (1.0 - _SLACK):
+        yield (
+            f"{here} is below its window, {ends}: {window.load:.3g} N press a feature "
+            f"{part.normal.depth(window.load):.3g} m deep, max_penetration is "
+            f"{part.max_penetration:.3g} m"
+        )
+    if 0.0 < window.upper < window.lower:
+        yield (
+            f"{part.name}: its window is empty at dt {dt:g} s; steps of {name} with dt < "
+            f"{window.opening:.3g} s open it"
+        )
+
+
+def depth_doubts(system: System, parts: Sequence[Any], states: Sequence[State]) -> Iterator[str]:
+    """Warnings of contacts that go deeper than they may, where they are deepest.
+
+    Args:
+        system: The system.
+        parts: Contacts that give way.
+        states: States of all joints.
+    """
+    k, deepest = system.k, {part: (0.0, 0.0) for part in parts if part.max_penetration}
+    for x in states:
+        k.refresh(x.q, x.v, Reads.POSITION)
+        for part, most in deepest.items():
+            deepest[part] = max(most, (-float(part.pair.gaps(k).min()), x.t))
+    for part, (depth, t) in deepest.items():
+        if depth > part.max_penetration:
+            needed = part.normal.least(part.normal.force(depth, 0.0), part.max_penetration)
+            yield (
+                f"{part.name}: {depth:.3g} m deep at t = {t:.6g} s, max_penetration is "
+                f"{part.max_penetration:.3g} m: its force there takes a stiffness of {needed:.3g}"
+            )
+
+
+def _unit(part: Any) -> str:
+    power = getattr(part.normal, "exponent", 1.0)
+    return "N/m" if power == 1.0 else f"N/m^{power:g}"

@@ -1,15 +1,22 @@
 """A scene in a few lines, for a prompt and for a notebook."""
 
 import html
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from textwrap import shorten
 from typing import TYPE_CHECKING
 
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.scene.reading.building import parts_in
 from mbd_ros.scene.schema.sections import Section
 
 if TYPE_CHECKING:
     from mbd_ros.scene.scene_parts import SceneParts
+
+
+# ---- scene summary ----------------------------------------------------------------------------
+# A scene in a few lines, for a prompt and for a notebook.
+
 
 _WIDTH, _LINES = 90, 9
 _TOLD = (
@@ -69,3 +76,21 @@ def _names(scene: "SceneParts", section: Section) -> tuple[str, ...]:
 
 def _listed(names: tuple[str, ...]) -> str:
     return shorten(f"{len(names)}: {', '.join(names)}", _WIDTH, placeholder=" ..")
+
+
+# ---- coordinate names -------------------------------------------------------------------------
+# Names of independent velocities, for messages to people.
+
+
+def coordinate_names(robot: Robot, couplings: Couplings) -> list[str]:
+    """Joints, and of a free base its name and axis, in the order of y'."""
+    return velocity_names(robot, couplings.v_index)
+
+
+def velocity_names(robot: Robot, chosen: Iterable[int]) -> list[str]:
+    """The same of some velocities."""
+    names = {int(joint.v): joint.name for joint in robot.joints}
+    for base in robot.bases:
+        words = (f"{kind}_{axis}" for kind in ("linear", "angular") for axis in "xyz")
+        names |= {base.v.start + i: f"{base.name}.{word}" for i, word in enumerate(words)}
+    return [names[int(v)] for v in chosen]

@@ -8,8 +8,7 @@ import numpy as np
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.multiplier_laws import Kind
-from mbd_ros.core.rows.constraint import Constraint
+from mbd_ros.core.rows.constraint import Constraint, Kind
 from mbd_ros.core.state import Array, State
 
 if TYPE_CHECKING:

@@ -1,8 +1,16 @@
 """What a model of another program becomes, and what of it a scene does not have."""
 
+import gzip
+import re
+import zlib
+from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 from mbd_ros.errors import SceneError
+
+# ---- imported ---------------------------------------------------------------------------------
+# What a model of another program becomes, and what of it a scene does not have.
 
 
 class LeftOut(NamedTuple):
@@ -42,3 +50,54 @@ class Imported(NamedTuple):
     robot: dict[str, Any]
     sections: dict[str, Any]
     left_out: tuple[LeftOut, ...]
+
+
+# ---- xml text ---------------------------------------------------------------------------------
+# Bytes of a model file -> its elements, also where strict XML readers refuse them.
+
+
+MAX_BYTES = 64 * 1024 * 1024
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_DECLARATION = re.compile(r"\s*<\?xml.*?\?>", re.DOTALL)
+_SCOPE = re.compile(r"(</?[\w.-]+)::(?=[\w.-])")  # a class inside a class of C++
+_REFUSED = re.compile(r"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
+
+
+def read_text(path: Path) -> str:
+    """Text of a model file, packed by gzip or not.
+
+    Raises:
+        SceneError: Missing, too large, or no text; names the file.
+    """
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        if path.suffix.lower() == ".gz":
+            data = zlib.decompressobj(16 + zlib.MAX_WBITS).decompress(data, MAX_BYTES + 1)
+    except (OSError, ValueError, EOFError, zlib.error, gzip.BadGzipFile) as error:
+        reason = getattr(error, "strerror", None) or error
+        raise SceneError(f"{path}: model cannot be read: {reason}") from error
+    if len(data) > MAX_BYTES:
+        raise SceneError(f"{path}: model has more than {MAX_BYTES} bytes")
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")  # names of authors in old files
+
+
+def parse_document(text: str, source: str) -> ElementTree.Element:
+    """The outermost element of a document.
+
+    Comments may hold anything, and names of elements may hold `::`, which becomes `__`.
+
+    Raises:
+        SceneError: No XML; names the line.
+    """
+    if _REFUSED.search(text):
+        raise SceneError(f"{source}: DOCTYPE and ENTITY declarations are refused")
+    text = _COMMENT.sub(lambda found: "\n" * found.group().count("\n"), text)
+    text = _DECLARATION.sub(lambda found: "\n" * found.group().count("\n"), text, count=1)
+    try:
+        return ElementTree.fromstring(_SCOPE.sub(r"\1__", text))
+    except (ElementTree.ParseError, UnicodeEncodeError) as error:
+        raise SceneError(f"{source}: not well-formed XML: {error}") from error

@@ -66,8 +66,8 @@ def import_model(path: Path, form: str, locked: Mapping[str, float | None]) -> "
         from mbd_ros.scene.models.mjcf.imported import import_mjcf
 
         return import_mjcf(path, locked)
+    from mbd_ros.scene.models.imported import read_text
     from mbd_ros.scene.models.osim.imported import import_osim
-    from mbd_ros.scene.models.xml_text import read_text
 
     return import_osim(read_text(path), str(path), locked)
 

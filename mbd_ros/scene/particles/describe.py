@@ -5,14 +5,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mbd_ros.core.particles.elastic import ElasticBond
-from mbd_ros.core.particles.molecules import Molecules
-from mbd_ros.core.particles.pairs import Pairs, PlainKernel
-from mbd_ros.core.particles.particle_system import ParticleSystem
-from mbd_ros.core.particles.settle import SettledCluster
-from mbd_ros.core.particles.units import Units
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.describe.part_lines import line
+from mbd_ros.methods.particles.molecules import ElasticBond, Molecules
+from mbd_ros.methods.particles.pairs import Pairs, PlainKernel
+from mbd_ros.methods.particles.particle_system import ParticleSystem
+from mbd_ros.methods.particles.settle import SettledCluster
+from mbd_ros.methods.particles.units import Units
+from mbd_ros.scene.describe.check import line
 from mbd_ros.scene.particles.particle_scene import ParticleScene
 
 _STEPS = 20

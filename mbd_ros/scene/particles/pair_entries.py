@@ -7,14 +7,14 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mbd_ros.core.particles.pairs import PairModel, Pairs, PlainKernel
-from mbd_ros.core.particles.particle_system import ParticleSystem
-from mbd_ros.core.particles.sites import SiteGroup, Sites
-from mbd_ros.core.particles.units import Units
 from mbd_ros.core.ranges import Positive
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.particles.molecule_entries import Atom, MoleculeEntry, Site
+from mbd_ros.methods.particles.molecules import SiteGroup, Sites
+from mbd_ros.methods.particles.pairs import PairModel, Pairs, PlainKernel
+from mbd_ros.methods.particles.particle_system import ParticleSystem
+from mbd_ros.methods.particles.units import Units
+from mbd_ros.scene.particles.molecules import Atom, MoleculeEntry, Site
 from mbd_ros.scene.schema import schema
 
 _TREE = "mbd_ros.scene.particles.neighbour_tree"

@@ -1,21 +1,27 @@
 """A scene of particles: points and rows between them, no robot."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.particles.particle_system import ParticleSystem
-from mbd_ros.core.particles.units import Units
-from mbd_ros.core.particles.verlet_steps import ParticleVerlet
 from mbd_ros.core.state import State
-from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.errors import MbdError, ModelError, SceneError
+from mbd_ros.methods.integration.stepping import Integrator
+from mbd_ros.methods.particles.molecules import Molecules
+from mbd_ros.methods.particles.pairs import Pairs
+from mbd_ros.methods.particles.particle_system import ParticleSystem
+from mbd_ros.methods.particles.units import Units
+from mbd_ros.methods.particles.verlet_steps import KindSteps, ParticleVerlet
 from mbd_ros.scene.particles.particles_entry import Particles, Record
 from mbd_ros.scene.reading.building import NO_FILE, Origin, build, present, refuse_unknown
 from mbd_ros.scene.reading.part_entries import build_part
 from mbd_ros.scene.schema.sections import PARTICLES, keys
+
+# ---- particle scene ---------------------------------------------------------------------------
+# A scene of particles: points and rows between them, no robot.
+
 
 METHODS = ("rattle", "shake")
 
@@ -93,7 +99,6 @@ class ParticleScene:
         plain, kind = self.particles.system, self.parts["solver"].type
         if kind == "plain":
             return plain
-        from mbd_ros.scene.particles.compiling import system_for
 
         return system_for(plain, self.units.force, kind, f"{self.name}: solver")
 
@@ -165,3 +170,56 @@ def _method(given: Any, where: str) -> Integrator:
         )
     method: Integrator = build_part("integrators", given, where)
     return method
+
+
+# ---- compiling --------------------------------------------------------------------------------
+# What of a scene of particles runs in native code.
+
+
+def compiled_system(system: ParticleSystem, force_unit: str) -> ParticleSystem:
+    """The system with native forces of pairs, and native steps where a kind has them.
+
+    Raises:
+        MbdError: There is no compiler, or a package is missing.
+    """
+    pairs: Any = system.pairs
+    if isinstance(pairs, Pairs):
+        from mbd_ros.compiled.particles.pair_kernel import CompiledKernel
+
+        pairs = pairs.with_kernel(CompiledKernel(pairs.model))
+    return ParticleSystem(system.kinds, pairs, force_unit, _steps(system))
+
+
+def system_for(system: ParticleSystem, force_unit: str, kind: str, where: str) -> ParticleSystem:
+    """The system as the section `solver` asks for it.
+
+    Args:
+        system: The plain one.
+        force_unit: For the names of multipliers.
+        kind: plain, compiled or auto.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: It must be compiled and cannot be.
+    """
+    if kind == "plain":
+        return system
+    try:
+        return compiled_system(system, force_unit)
+    except (MbdError, ImportError) as error:
+        if kind == "auto":
+            return system
+        raise SceneError(f"{where}: {error}") from error
+
+
+def _steps(system: ParticleSystem) -> Callable[[Molecules, float, bool], KindSteps] | None:
+    """What takes half steps of a kind; None where none is native."""
+    if not any(len(kind.atoms) == 3 and len(kind.rows) == 3 for kind in system.kinds):
+        return None
+    from mbd_ros.compiled.particles.molecule_steps import CompiledTriangles, is_compiled
+
+    def steps(kind: Molecules, tolerance: float, projects: bool) -> KindSteps:
+        made_by = CompiledTriangles if is_compiled(kind) else KindSteps
+        return made_by(kind, tolerance, projects)
+
+    return steps

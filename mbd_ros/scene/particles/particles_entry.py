@@ -1,4 +1,4 @@
-"""The sections of a scene of particles, but for its units."""
+"""The sections of a scene of particles."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -8,20 +8,23 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.particles.fields import Field, PolynomialField, UniformField
-from mbd_ros.core.particles.molecules import Molecules
-from mbd_ros.core.particles.pairs import Pairs
-from mbd_ros.core.particles.particle_system import ParticleSystem
-from mbd_ros.core.particles.row_geometry import DistanceRow
-from mbd_ros.core.particles.units import Units
 from mbd_ros.core.ranges import LARGEST, NotNegative, Vector, Within
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SceneError, SolveError
-from mbd_ros.scene.particles.molecule_entries import MOST, MoleculeEntry, read_molecule
+from mbd_ros.methods.particles.molecules import Field, Molecules, PolynomialField, UniformField
+from mbd_ros.methods.particles.pairs import Pairs
+from mbd_ros.methods.particles.particle_system import ParticleSystem
+from mbd_ros.methods.particles.rigid_bonds import DistanceRow
+from mbd_ros.methods.particles.units import MOLECULAR, REDUCED, SI, UNITS, Units
+from mbd_ros.scene.particles.molecules import MOST, MoleculeEntry, read_molecule
 from mbd_ros.scene.particles.pair_entries import read_pairs, refuse_overlap
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.nearest import nearest
+
+# ---- particles entry --------------------------------------------------------------------------
+# The sections of a scene of particles, but for its units.
+
 
 # Where molecules stand at the start.
 
@@ -107,7 +110,7 @@ def _rotations(unit: Array) -> Array:
 
 
 def _from_file(kind: Molecules, name: str, room: Room, where: str) -> Array:
-    from mbd_ros.scene.particles.coordinate_files import read_coordinates
+    from mbd_ros.scene.particles.molecules import read_coordinates
     from mbd_ros.scene.schema.locate import find_file
 
     path = find_file(room.folder, name, f"{where}.file")
@@ -368,3 +371,36 @@ def build_solver(site: Site, given: Any) -> ParticleSolver:
     """The section `solver`."""
     solver: ParticleSolver = schema.call(ParticleSolver, given, site.where)
     return solver
+
+
+# ---- units entry ------------------------------------------------------------------------------
+# The `units` section of a scene of particles.
+
+
+_KEYS = ("length", "time", "mass")
+_ACCEPTED = (
+    "si (m, s, kg), molecular (angstrom, ps, amu) or reduced, or "
+    "{length: angstrom, time: ps, mass: amu}"
+)
+
+
+def build_units(site: Site, given: Any) -> Units:
+    """Units by name, or by length, time and mass that belong together.
+
+    Raises:
+        SceneError: Other words, or units of two systems.
+    """
+    if isinstance(given, str) and given in UNITS:
+        return UNITS[given]
+    if not isinstance(given, Mapping) or set(given) != set(_KEYS):
+        raise SceneError(f"{site.where}: got {given!r}, accepted: {_ACCEPTED}")
+    words = tuple(given[key] for key in _KEYS)
+    for units in (SI, MOLECULAR, REDUCED):
+        if words == units.words[:3]:
+            return units
+    owners = {w: u.name for u in (SI, MOLECULAR) for w in u.words[:3]}
+    unknown = [word for word in words if not isinstance(word, str) or word not in owners]
+    if unknown:
+        raise SceneError(f"{site.where}: unknown unit {unknown[0]!r}, accepted: {_ACCEPTED}")
+    mixed = ", ".join(f"{word} of {owners[word]}" for word in words)
+    raise SceneError(f"{site.where}: units of two systems, {mixed}; accepted: {_ACCEPTED}")

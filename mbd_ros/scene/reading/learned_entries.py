@@ -5,10 +5,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mbd_ros.core.contracts.parts import Load
-from mbd_ros.core.learned.known_physics import check_physics, physics_of
-from mbd_ros.core.learned.model_file import LARGEST, About, LearnedFile
+from mbd_ros.core.contracts import Load
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.methods.learned import LARGEST, About, LearnedFile, check_physics, physics_of
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 

@@ -7,17 +7,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from mbd_ros.core.dynamics.tiers import TIERS
-from mbd_ros.core.loads.external_wrench import ExternalWrench
+from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.optimization.qp_solvers import check_backend
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.scene.reading.building import Site
-from mbd_ros.scene.reading.part_names import NamedEntry, checked_name, name_parts, named_entry
+from mbd_ros.scene.reading.building import NamedEntry, Site, checked_name, name_parts, named_entry
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import METHODS, PARTS, resolve_type, types_of
 from mbd_ros.scene.schema.sections import Form, Section
 
 if TYPE_CHECKING:
-    from mbd_ros.core.paths.paths import Path
+    from mbd_ros.core.kinematics.paths.paths import Path
 
 MAX_PARTS = 1000  # in one section
 MAX_ROWS = 600  # of all constraints: a solve costs their number cubed

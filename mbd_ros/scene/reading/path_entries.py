@@ -1,20 +1,37 @@
-"""Entries of paths -> paths, and the paths that parts name."""
+"""Entries of paths and their wraps -> paths, and the paths that parts name."""
 
 import math
 import typing
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
-from mbd_ros.core.model.coupling_functions import CouplingFunction, Linear, Polynomial
+import pinocchio as pin
+
+from mbd_ros.core.kinematics.paths.cylinder import Cylinder
+from mbd_ros.core.kinematics.paths.ellipsoid import Ellipsoid
+from mbd_ros.core.kinematics.paths.paths import JoinedPaths, JointPath, Path
+from mbd_ros.core.kinematics.paths.point_path import (
+    Interval,
+    MovingViaPoint,
+    ViaPoint,
+    path_through,
+)
+from mbd_ros.core.kinematics.paths.polynomial_path import PolynomialPath
+from mbd_ros.core.kinematics.paths.sphere import Sphere
+from mbd_ros.core.kinematics.paths.torus import Torus
+from mbd_ros.core.kinematics.paths.wrap_surface import Side, Surface
+from mbd_ros.core.kinematics.paths.wrapped_path import Wrap
+from mbd_ros.core.model.couplings import CouplingFunction, Linear, Polynomial
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.paths.paths import JoinedPaths, JointPath, Path
-from mbd_ros.core.paths.point_path import path_through
-from mbd_ros.core.paths.polynomial_path import PolynomialPath
-from mbd_ros.core.paths.via_points import Interval, MovingViaPoint, ViaPoint
-from mbd_ros.core.ranges import Unit, Unlimited, Vector
+from mbd_ros.core.ranges import Length, Positive, Unit, Unlimited, Vector
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.reading.coupling_entries import one_function
+from mbd_ros.scene.reading.robot_entry import read_pose
 from mbd_ros.scene.schema import schema
+
+# ---- path entries -----------------------------------------------------------------------------
+# Entries of paths -> paths, and the paths that parts name.
+
 
 MAX_POINTS = 1000  # of one path
 
@@ -100,7 +117,6 @@ def _polynomial(
 
 
 def _wraps(robot: Robot, wraps: Sequence[Any], where: str) -> Any:
-    from mbd_ros.scene.reading.wrap_entries import read_wrap
 
     if len(wraps) > MAX_POINTS:
         raise ModelError(f"{len(wraps)} wraps, accepted are {MAX_POINTS}")
@@ -146,3 +162,78 @@ def _interval(
     if not lower <= upper:
         raise ModelError(f"lower {lower:g} is above upper {upper:g}")
     return Interval(robot.joint(joint), lower, upper)
+
+
+# ---- wrap entries -----------------------------------------------------------------------------
+# Entries of wraps of a path -> surfaces on links.
+
+
+_SHAPES = ("cylinder", "sphere", "ellipsoid", "torus")
+
+
+def read_wrap(robot: Robot, given: Any, where: str) -> Wrap:
+    """A wrap: a frame, one surface and perhaps pose, side and range.
+
+    Args:
+        robot: The robot.
+        given: What the file holds.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    wrap: Wrap = schema.call(_wrap, given, where, robot, where)
+    return wrap
+
+
+def _wrap(
+    robot: Robot,
+    where: str,
+    *,
+    frame: str,
+    name: str = "",
+    cylinder: Any = None,
+    sphere: Annotated[Positive, Unit("m")] | None = None,
+    ellipsoid: Annotated[Sequence[Positive], Length(3), Unit("m")] | None = None,
+    torus: Any = None,
+    pose: Any = None,
+    side: Side = "all",
+    between: Annotated[Sequence[int], Length(2)] | None = None,
+    method: Literal["hybrid", "midpoint", "axial"] = "hybrid",
+) -> Wrap:
+    given = {"cylinder": cylinder, "sphere": sphere, "ellipsoid": ellipsoid, "torus": torus}
+    shapes = {shape: value for shape, value in given.items() if value is not None}
+    if len(shapes) != 1:
+        raise ModelError(f"give one of {', '.join(_SHAPES)}; got {', '.join(shapes) or 'none'}")
+    ((shape, value),) = shapes.items()
+    place = read_pose({} if pose is None else pose, f"{where}.pose")
+    rpy = pin.rpy.matrixToRpy(pin.Quaternion(place[3:]).toRotationMatrix())
+    surface = _surface(shape, value, side, f"{where}.{shape}")
+    ends = None if between is None else (between[0], between[1])
+    return Wrap(robot, name or shape, frame, surface, place[:3].tolist(), rpy.tolist(), ends)
+
+
+def _surface(shape: str, given: Any, side: Side, where: str) -> Surface:
+    if shape == "sphere":
+        return Sphere(given, side)
+    if shape == "ellipsoid":
+        return Ellipsoid(given, side)
+    made: Surface = schema.call(_cylinder if shape == "cylinder" else _torus, given, where, side)
+    return made
+
+
+def _cylinder(
+    side: Side,
+    *,
+    radius: Annotated[Positive, Unit("m")],
+    length: Annotated[Positive, Unit("m")],
+) -> Cylinder:
+    return Cylinder(radius, length, side)
+
+
+def _torus(
+    side: Side, *, inner: Annotated[Positive, Unit("m")], outer: Annotated[Positive, Unit("m")]
+) -> Torus:
+    if not inner < outer:
+        raise ModelError(f"inner {inner:g} is not below outer {outer:g}")
+    return Torus(inner, outer, side)

@@ -3,20 +3,26 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any, Literal
 
+import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.model_source import Recipe
-from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.model.points import rotation_matrix
+from mbd_ros.core.model.robot import Recipe, Robot
 from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, read_robots
 from mbd_ros.core.model.urdf import MAX_CHARACTERS
-from mbd_ros.core.ranges import Positive, Vector
+from mbd_ros.core.ranges import Length, Positive, Unit, Vector
+from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 from mbd_ros.scene.schema.strict_yaml import read_text
+
+# ---- robot entry ------------------------------------------------------------------------------
+# Sections `robot`, `robots`, `bodies` and `gravity` of a scene -> one robot.
+
 
 _NAME = re.compile("[A-Za-z_][A-Za-z0-9_]{0,99}")  # topics are named after robots and bodies
 
@@ -164,7 +170,7 @@ def _body(
     elif mass is None and (free or inertia is not None):
         raise SceneError(f"{where}: key 'mass' is missing")
     else:
-        from mbd_ros.scene.reading.body_entry import shaped
+        pass
 
         recipe = shaped(name, where, shape, mass, inertia)
     return recipe._replace(base="floating" if free else "fixed", pose=_placed(pose, where))
@@ -173,7 +179,6 @@ def _body(
 def _placed(pose: Mapping[str, Any] | None, where: str) -> Any:
     if pose is None:
         return None
-    from mbd_ros.scene.reading.pose_entry import read_pose
 
     return pin.XYZQUATToSE3(read_pose(pose, f"{where}.pose"))
 
@@ -222,3 +227,165 @@ def _read_urdf(site: Site, name: str, entry: str) -> tuple[str, str]:
         return str(file), read_text(file, MAX_CHARACTERS, "robot description")
     except SceneError as error:
         raise SceneError(f"{where}: {error}") from error
+
+
+# ---- body entry -------------------------------------------------------------------------------
+# An entry of the section `bodies` -> what a body is read from.
+
+
+Metres = Annotated[Positive, Unit("m")]
+_Sides = Annotated[Sequence[Positive], Length(3), Unit("m")]
+
+
+def shaped(
+    name: str, where: str, given: Any, mass: float | None, inertia: Sequence[Any] | None
+) -> Recipe:
+    """A body of one link, its origin in the centre of its shape, which its mass fills evenly.
+
+    Args:
+        name: Of the body and its link, a ROS name.
+        where: File and key, for the messages.
+        given: `{box: [x, y, z]}`, `{sphere: r}`, `{cylinder: {radius, length}}` or
+            `{capsule: {radius, length}}`, the last two along z; a capsule is longer than `length`
+            by its two half spheres.
+        mass: [kg]; None for a body that does not move.
+        inertia: About the centre [kg·m^2], shape (3,) for its diagonal or (3, 3); None for that
+            of the shape.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    entry = schema.value(given, Mapping[str, Any], f"{where}.shape")
+    if len(entry) != 1 or next(iter(entry)) not in _SHAPES:
+        names = ", ".join(_SHAPES)
+        raise SceneError(
+            f"{where}.shape: expected one of {names}, got {', '.join(entry) or 'none'}"
+        )
+    kind, sizes = next(iter(entry.items()))
+    key = f"{where}.shape.{kind}"
+    arguments = sizes if kind in _BY_KEYS else {"size": sizes}
+    moments = schema.call(_SHAPES[kind], arguments, key)
+    text = f'<robot name="{name}"><link name="{name}"/></robot>'
+    source = f"bodies.{name}.shape"
+    if mass is None:
+        return Recipe(text, source, name=name, shape=(kind, sizes))
+    tensor = np.diag(moments) * mass if inertia is None else _tensor(inertia, where)
+    inertias = {name: (mass, np.zeros(3), tensor)}
+    return Recipe(text, source, inertias=inertias, name=name, shape=(kind, sizes))
+
+
+def _tensor(inertia: Sequence[Any], where: str) -> Array:
+    try:
+        tensor = np.array(inertia, dtype=np.float64)
+    except (TypeError, ValueError):
+        tensor = np.zeros(0)
+    if tensor.shape not in ((3,), (3, 3)):
+        raise SceneError(f"{where}.inertia: expected 3 numbers or 3 x 3, got {inertia}")
+    return np.diag(tensor) if tensor.ndim == 1 else tensor
+
+
+def _box(size: _Sides) -> Array:
+    """Moments of inertia of 1 kg [m^2], shape (3,)."""
+    squares = np.square(size)
+    moments: Array = (squares.sum() - squares) / 12.0
+    return moments
+
+
+def _sphere(size: Metres) -> Array:
+    return np.full(3, 0.4 * size**2)
+
+
+def _cylinder(radius: Metres, length: Metres) -> Array:
+    across = radius**2 / 4.0 + length**2 / 12.0
+    return np.array((across, across, radius**2 / 2.0))
+
+
+def _capsule(radius: Metres, length: Metres) -> Array:
+    """A cylinder between two half spheres, whose centres of mass lie 3/8 r beyond its ends."""
+    share = length / (length + 4.0 / 3.0 * radius)  # of the mass, in the cylinder
+    half = 0.4 * radius**2 + length**2 / 4.0 + 0.375 * length * radius
+    across = share * (radius**2 / 4.0 + length**2 / 12.0) + (1.0 - share) * half
+    along = share * radius**2 / 2.0 + (1.0 - share) * 0.4 * radius**2
+    return np.array((across, across, along))
+
+
+_SHAPES: Mapping[str, Any] = {
+    "box": _box,
+    "sphere": _sphere,
+    "cylinder": _cylinder,
+    "capsule": _capsule,
+}
+_BY_KEYS = ("cylinder", "capsule")
+
+
+# ---- pose entry -------------------------------------------------------------------------------
+# Poses and velocities of bodies as a scene writes them.
+
+
+_SMALLEST = 1.0e-6  # length of a quaternion that still says which way to turn
+_Quaternion = Annotated[Sequence[float], Length(4), Unit("x, y, z, w")]
+
+
+def read_pose(given: Any, where: str) -> Array:
+    """A pose `{xyz: [..], rpy: [..]}` or `{xyz: [..], quaternion: [x, y, z, w]}`.
+
+    Args:
+        given: What the file holds; what it leaves out is 0.
+        where: File and key, for the messages.
+
+    Returns:
+        Position [m], then the quaternion (x, y, z, w) of length 1, shape (7,).
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    pose: Array = schema.call(_pose, given, where, where)
+    return pose
+
+
+def read_twist(given: Any, where: str, rotation: Array) -> Array:
+    """A velocity `{linear: [..], angular: [..], expressed_in: body}`.
+
+    Args:
+        given: What the file holds; what it leaves out is 0.
+        where: File and key, for the messages.
+        rotation: Of the axes of the body in the world, shape (3, 3).
+
+    Returns:
+        Velocity of the body's origin [m/s], then of its axes [rad/s], in its own axes, shape (6,).
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    twist: Array = schema.call(_twist, given, where, rotation)
+    return twist
+
+
+def _pose(
+    where: str,
+    *,
+    xyz: Vector = (0.0, 0.0, 0.0),
+    rpy: Vector | None = None,
+    quaternion: _Quaternion | None = None,
+) -> Array:
+    if quaternion is None:
+        turn = pin.Quaternion(rotation_matrix(rpy or (0.0, 0.0, 0.0))).coeffs()
+        return np.concatenate((xyz, turn))
+    if rpy is not None:
+        raise SceneError(f"{where}: give either 'rpy' or 'quaternion'")
+    turn = np.array(quaternion)
+    length = float(np.linalg.norm(turn))
+    if length < _SMALLEST:
+        raise SceneError(f"{where}.quaternion: {quaternion} says no rotation, expected length 1")
+    return np.concatenate((xyz, turn / length))
+
+
+def _twist(
+    rotation: Array,
+    *,
+    linear: Vector = (0.0, 0.0, 0.0),
+    angular: Vector = (0.0, 0.0, 0.0),
+    expressed_in: Literal["body", "world"] = "body",
+) -> Array:
+    axes = np.eye(3) if expressed_in == "body" else rotation.T
+    return np.concatenate((axes.dot(linear), axes.dot(angular)))

@@ -10,9 +10,9 @@ import pinocchio as pin
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unlimited, refuse_dt
-from mbd_ros.core.simulation.safe_command import SafeCommand
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.methods.simulation.live_simulation import SafeCommand
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.reading.part_entries import Solver
 from mbd_ros.scene.schema import schema
@@ -85,8 +85,8 @@ def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array
     """Write poses and velocities of free bodies into a configuration and a velocity."""
     if not (initial.pose or initial.twist):
         return
-    from mbd_ros.core.kinematics.free_bases import configuration_of
-    from mbd_ros.scene.reading.pose_entry import read_pose, read_twist
+    from mbd_ros.core.kinematics.poses import configuration_of
+    from mbd_ros.scene.reading.robot_entry import read_pose, read_twist
 
     bases = {base.name: base for base in robot.bases}
     for key, given in (("pose", initial.pose or {}), ("twist", initial.twist or {})):

@@ -1,21 +1,77 @@
 """Many runs of a scene side by side, from other starts and with other numbers."""
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from mbd_ros.compiled.build.side_by_side import cores
-from mbd_ros.core.simulation.sample_times import sample_times
-from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.core.state import Array
-from mbd_ros.errors import MbdError, SceneError
+from mbd_ros.compiled.build.compiler import cores
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import DivergedError, MbdError, SceneError, SolveError
+from mbd_ros.methods.simulation.sample_blocks import sample_times
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.runs.batch_runs import Runs, Starts, run_alone
 from mbd_ros.scene.runs.compiling import Impossible, attempted
 
 if TYPE_CHECKING:
     from mbd_ros.compiled.runs.lane_runs import LaneRuns
+
+
+# ---- batch runs -------------------------------------------------------------------------------
+# Many runs as arrays: where they start, what they did, and one of them taken alone.
+
+
+class Runs(NamedTuple):
+    """What a batch returns.
+
+    Attributes:
+        states: Time [s], positions, velocities of all joints and internal states, as the rows of
+            `Simulation.sampled`; shape (n, samples, 1 + nq + nv + nz). NaN after a run has ended.
+        known: How many samples each run has, shape (n,).
+        failures: Run -> why it ended early.
+    """
+
+    states: Array
+    known: NDArray[np.int64]
+    failures: dict[int, MbdError]
+
+
+class Starts(NamedTuple):
+    """Configurations, velocities of all joints and internal states, a row a run."""
+
+    q: Array
+    v: Array
+    z: Array
+
+    def state(self, run: int, t: float) -> State:
+        """Where a run starts, at a time [s]."""
+        return State(t, *(rows[run] for rows in self))
+
+
+def run_alone(
+    simulation: Simulation, x: State, duration: float, out: Array
+) -> tuple[int, MbdError | None]:
+    """One run, taken alone; how many samples it has, and why it ended early.
+
+    Args:
+        simulation: Takes it.
+        x: Its start.
+        duration: [s].
+        out: Gets the samples, those of `Runs.states`.
+    """
+    out[...], count = np.nan, 0
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
+            for each in simulation.run(x, duration):
+                out[count], count = np.concatenate(([each.t], *each[1:4])), count + 1
+    except (DivergedError, SolveError) as error:
+        return count, error
+    return count, None
+
+
+# ---- batch ------------------------------------------------------------------------------------
+# Many runs of a scene side by side, from other starts and with other numbers.
 
 
 def _silent(line: str) -> None:
@@ -214,7 +270,7 @@ class Batch:
 
     def _compiled(self, scene: Scene, p: Array) -> "LaneRuns":
         from mbd_ros.compiled.runs.lane_method import lane_runs
-        from mbd_ros.scene.runs.symbolic_parts import traced
+        from mbd_ros.scene.runs.compiling import traced
 
         one = scene.simulation(**self._options) if self.parameters else self._simulation
         return lane_runs(

@@ -1,20 +1,35 @@
-"""Simulations whose steps are compiled, where a scene asks for them."""
+"""Simulations and systems that are compiled, where a scene asks for them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 from weakref import WeakKeyDictionary
 
+import numpy as np
+
+from mbd_ros.core.contracts import Part, Slots
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.integration.stepping import Integrator
-from mbd_ros.core.projection.assembly import assemble
-from mbd_ros.core.projection.stabilization import Stabilization
-from mbd_ros.core.simulation.simulation import Simulation
-from mbd_ros.core.state import State
-from mbd_ros.errors import ModelError, SolveError, install_hint
+from mbd_ros.core.state import Mode, State
+from mbd_ros.errors import ModelError, SceneError, SolveError, install_hint
+from mbd_ros.methods.integration.stepping import Integrator
+from mbd_ros.methods.projection.assembly import Stabilization, assemble
+from mbd_ros.methods.simulation.simulation import Simulation
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.from_python import changed_origin
+from mbd_ros.scene.numbers import Place, found_place, places_of, set_value
+from mbd_ros.scene.reading.building import Site, named_entry, parts_in
+from mbd_ros.scene.reading.part_entries import part_of
 
 if TYPE_CHECKING:
     from mbd_ros.compiled.runs.compiled_method import CompiledMethod
+    from mbd_ros.compiled.runs.compiled_system import CompiledSystem
     from mbd_ros.compiled.runs.implicit_method import ImplicitMethod
+    from mbd_ros.compiled.symbols.trace import Traced
+
+
+# ---- compiling --------------------------------------------------------------------------------
+# Simulations whose steps are compiled, where a scene asks for them.
+
 
 T = TypeVar("T")
 Tell = Callable[[str], None]
@@ -148,3 +163,117 @@ def _described(steps: "CompiledMethod | ImplicitMethod") -> str:
     library: Any = steps.library
     count = sum(library.source.operations.values())
     return f"compiled: {count} operations by {library.compiler} in {library.seconds:.1f} s"
+
+
+# ---- symbolic parts ---------------------------------------------------------------------------
+# Parts of a scene with symbols instead of some of their numbers, and what is traced of them.
+
+
+_OF_LINKS = ("mass", "com", "inertia")
+
+
+def traced(
+    scene: Scene,
+    system: System | None = None,
+    parameters: Sequence[str] = (),
+    mode: Mode = (),
+) -> "Traced":
+    """The functions of a scene, with numbers of its parts as arguments.
+
+    Args:
+        scene: The scene.
+        system: One that it made; a new one by default.
+        parameters: `<name of a part>.<argument>`, as `Scene.with_` takes them: p, in this order.
+        mode: Of rows that give way at events.
+
+    Raises:
+        Untraceable: Names the part and why.
+        SceneError: Names a parameter that no part has.
+    """
+    from mbd_ros.compiled.symbols.trace import trace
+
+    made = partial(parts_of_symbols, scene)
+    return trace(scene.system() if system is None else system, parameters, mode, made)
+
+
+def parts_of_symbols(scene: Scene, symbols: Mapping[str, Any]) -> dict[str, Part]:
+    """The parts of which numbers are replaced, by name; those of the scene stay.
+
+    Args:
+        scene: The scene.
+        symbols: Symbols by `<name of a part>.<argument>`.
+
+    Raises:
+        SceneError: Names a parameter that no part has.
+    """
+    origin, places = changed_origin(scene), places_of(scene)
+    entries, changed = dict(scene.entries), dict[Place, str]()
+    for key, symbol in symbols.items():
+        link, _, number = key.rpartition(".")
+        if link in scene.robot.inertias() and number in _OF_LINKS:
+            raise SceneError(
+                f"{origin.name}: {key} is no number of a part; accepted: numbers of parts, such "
+                "as <spring>.stiffness, or values of it one after the other (continuation)"
+            )
+        place, path = found_place(origin, places, key)
+        set_value(entries, place, path, symbol)
+        changed.setdefault(place, key)
+    sections = {section.key: section for section in scene.sections}
+    found: dict[str, Part] = {}
+    for place, key in changed.items():
+        section = sections[place.section]
+        if not section.has_types or place.at is None:
+            raise SceneError(f"{origin.name}: {key} is no number of a part")
+        built = scene.parts[place.section]
+        names = built if isinstance(built, Mapping) else range(len(built))
+        old = dict(zip(names, parts_in(section, built), strict=True))[place.at]
+        site = Site(section, origin, scene.robot, scene.parts)
+        entry = named_entry(entries[place.section][place.at], f"{site.where}.{old.name}")
+        part = part_of(section, entry.given, entry.where, site)
+        part.name = old.name
+        part.bind(Slots(old.u, old.z))
+        found[old.name] = part
+    return found
+
+
+# ---- compiled system --------------------------------------------------------------------------
+# The system of a scene with exact derivatives.
+
+
+def _compiled_system_silent(line: str) -> None:
+    """Nobody is told."""
+
+
+def compiled_system(
+    scene: Scene,
+    parameters: Mapping[str, float] | None = None,
+    *,
+    solver: Mapping[str, str] | None = None,
+    tell: Tell = _compiled_system_silent,
+) -> "CompiledSystem":
+    """The system of a scene with exact `derivatives`, in native code.
+
+    Those by parameters are in the order in which they are given.
+
+    Args:
+        scene: The scene.
+        parameters: Values by name, as `Scene.with_` takes them.
+        solver: Entry that replaces that of the scene; of it, the tier counts.
+        tell: Is told what takes time.
+
+    Raises:
+        ModelError: It cannot be compiled; says why.
+        SceneError: Names a parameter that no part has.
+    """
+    given = dict(parameters or {})
+    changed = scene.with_(given) if given else scene
+    system = changed.system((), solver)
+
+    def take() -> "CompiledSystem":
+        from mbd_ros.compiled.runs import implicit_method
+
+        implicit_method.refuse_bounds(system)
+        form, p = traced(changed, system, list(given)), np.array(list(given.values()))
+        return implicit_method.compiled_system(system, form, p, tell)
+
+    return attempted(take)

@@ -3,11 +3,11 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from mbd_ros.core.kinematics.paths.paths import Path
+from mbd_ros.core.kinematics.paths.wrap_surface import Placed
+from mbd_ros.core.kinematics.paths.wrapped_path import Taut, taut
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.paths.paths import Path
-from mbd_ros.core.paths.wrapping.arcs import Placed
-from mbd_ros.core.paths.wrapping.taut import Taut, taut
 from mbd_ros.core.state import Array
 from mbd_ros.scene.runs.compiling import Impossible, attempted
 
@@ -39,10 +39,10 @@ class QuickestSearch:
 def state_paths(
     robot: Robot, data: Any, couplings: Couplings, paths: Sequence[Path], width: int
 ) -> Any:
-    """A `compiled.runs.state_paths.StatePaths`, or None where there cannot be one."""
+    """A `compiled.runs.paths.StatePaths`, or None where there cannot be one."""
 
     def take() -> Any:
-        from mbd_ros.compiled.runs.state_paths import StatePaths, is_known
+        from mbd_ros.compiled.runs.paths import StatePaths, is_known
 
         known = all(map(is_known, paths))
         return StatePaths(robot, data, couplings, paths, width) if known else None
@@ -51,7 +51,7 @@ def state_paths(
 
 
 def _search() -> Any:
-    from mbd_ros.compiled.runs.path_search import PathSearch
+    from mbd_ros.compiled.runs.paths import PathSearch
 
     return PathSearch()
 

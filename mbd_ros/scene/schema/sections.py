@@ -183,7 +183,7 @@ PARTICLES = (  # of a scene that has the section `particles`, and no others
     Section(
         "units",
         Form.SINGLE,
-        "mbd_ros.scene.particles.units_entry:build_units",
+        "mbd_ros.scene.particles.particles_entry:build_units",
         (),
         absent="si",
     ),
@@ -209,7 +209,7 @@ PARTICLES = (  # of a scene that has the section `particles`, and no others
 TASKS = (
     Section("simulate", Form.SINGLE, "mbd_ros.features.simulation.task:build_task", ()),
     Section("kinematics", Form.SINGLE, "mbd_ros.features.markers.kinematics_task:build_task", ()),
-    Section("scale", Form.SINGLE, "mbd_ros.features.markers.scale_task:build_task", ()),
+    Section("scale", Form.SINGLE, "mbd_ros.features.markers.scale.task:build_task", ()),
     Section("muscles", Form.SINGLE, "mbd_ros.features.muscles.task:build_task", ()),
     Section("estimate", Form.SINGLE, "mbd_ros.features.estimation.task:build_task", ()),
     Section("gait", Form.SINGLE, "mbd_ros.features.gait.task:build_task", ()),

@@ -7,14 +7,14 @@ import numpy as np
 
 from mbd_ros.api import Scene, load_scene
 from mbd_ros.applications.demo.summary import Check
-from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import Array, State
 from mbd_ros.features.estimation.determination import Determinations
 from mbd_ros.features.estimation.estimation import EFFORTS, Estimation, estimation_of, made_ready
-from mbd_ros.features.estimation.fault_naming import FaultNaming
+from mbd_ros.features.estimation.faults import FaultNaming
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
 from mbd_ros.files.table import Column, Table
+from mbd_ros.methods.simulation.simulation import Simulation
 
 SCENE = "press"
 DURATION, STEP = 4.0, 0.005  # s: of a run, of the samples

@@ -8,14 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.applications.demo import panels
-from mbd_ros.applications.demo.choices import TWIN
-from mbd_ros.applications.demo.files import KNOWN, PAGE, PICTURE, TWIN_TABLE
-from mbd_ros.applications.demo.folder import replacing_folder
-from mbd_ros.applications.demo.moving import moving_result
-from mbd_ros.applications.demo.page import Content, page
+from mbd_ros.applications.demo.files import KNOWN, PAGE, PICTURE, TWIN_TABLE, replacing_folder
+from mbd_ros.applications.demo.page import Content, moving_result, page
 from mbd_ros.applications.demo.panels import BLACK, BLUE, ORANGE, line, name, picture
 from mbd_ros.applications.demo.processes import Failed
 from mbd_ros.applications.demo.summary import Table, check_table, lines
+from mbd_ros.applications.demo.task import TWIN
 from mbd_ros.applications.demo.twin.numbers import (
     DURATION,
     FAULT,

@@ -10,16 +10,13 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.applications.demo import panels
-from mbd_ros.applications.demo.choices import WALKING
-from mbd_ros.applications.demo.files import KNOWN, PAGE, PICTURE, TABLES
-from mbd_ros.applications.demo.folder import replacing_folder
-from mbd_ros.applications.demo.moving import moving_result
-from mbd_ros.applications.demo.page import Content, page
+from mbd_ros.applications.demo.files import KNOWN, PAGE, PICTURE, TABLES, replacing_folder
+from mbd_ros.applications.demo.page import Content, moving_result, page
 from mbd_ros.applications.demo.panels import BLACK, BLUE, ORANGE, Draw, line, name, picture
 from mbd_ros.applications.demo.processes import Failed
 from mbd_ros.applications.demo.summary import Table, lines
-from mbd_ros.applications.demo.walking.numbers import CUTOFF, RESERVE, WalkingNumbers
-from mbd_ros.applications.demo.walking.tables import tables
+from mbd_ros.applications.demo.task import WALKING
+from mbd_ros.applications.demo.walking.numbers import CUTOFF, RESERVE, WalkingNumbers, tables
 from mbd_ros.applications.demo.walking.task import BURSTS, DURATION, JOINTS, MARKERS, NOISE, STEP
 from mbd_ros.files.table import MAIN
 

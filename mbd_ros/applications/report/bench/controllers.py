@@ -15,13 +15,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.control.contract import ControlledJoints, Controller, EffortBox, Reference
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.projection.assembly import assemble
-from mbd_ros.core.rows.row_layout import rigid
+from mbd_ros.core.rows.constraint_rows import rigid
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.control.contract import ControlledJoints, Controller, EffortBox, Reference
+from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.parts.controllers.qp_tracking import QpTracking
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene

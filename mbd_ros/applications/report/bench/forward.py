@@ -17,12 +17,11 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.coupling_functions import Linear
-from mbd_ros.core.model.couplings import Coupling, Couplings
+from mbd_ros.core.model.couplings import Coupling, Couplings, Linear
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.simulation.stepper_of import stepper_of
 from mbd_ros.core.state import State
+from mbd_ros.methods.simulation.checked_steps import stepper_of
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
 from mbd_ros.scene.schema.locate import find_file

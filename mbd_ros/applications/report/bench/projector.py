@@ -17,9 +17,9 @@ import pinocchio as pin
 
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.projection.state_projection import Measurement, StateProjector
-from mbd_ros.core.rows.row_layout import rigid
+from mbd_ros.core.rows.constraint_rows import rigid
 from mbd_ros.core.state import Array, State
+from mbd_ros.methods.projection.state_projection import Measurement, StateProjector
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.locate import find_file

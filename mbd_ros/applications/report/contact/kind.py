@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from mbd_ros.applications.report.contact import ours
-from mbd_ros.applications.report.contact.problem import Problem, Trace, penetration
-from mbd_ros.applications.report.contact.problems import problems
+from mbd_ros.applications.report.contact.problems import Problem, Trace, penetration, problems
 from mbd_ros.applications.report.items import Item, Outcome, Section, Spec, Table
 from mbd_ros.applications.report.peers.contenders import OURS, USELESS, Contender, in_turn
 from mbd_ros.applications.report.peers.kind import installed

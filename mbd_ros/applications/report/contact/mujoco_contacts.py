@@ -7,8 +7,13 @@ import mujoco
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.applications.report.contact.problem import GROUND, Problem, Solid, Trace
-from mbd_ros.applications.report.contact.soft_bounce import damping_ratio
+from mbd_ros.applications.report.contact.problems import (
+    GROUND,
+    Problem,
+    Solid,
+    Trace,
+    damping_ratio,
+)
 from mbd_ros.applications.report.peers.contenders import cpu_time
 from mbd_ros.applications.report.precision.rungs import Record
 from mbd_ros.core.state import Array

@@ -1,13 +1,235 @@
 """Contact problems with known solutions."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+import math
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import lambertw
 
-from mbd_ros.applications.report.contact import closed_forms
-from mbd_ros.applications.report.contact.closed_forms import GRAVITY
-from mbd_ros.applications.report.contact.problem import GROUND, Problem, Solid, Trace
+from mbd_ros.core.state import Array
+
+# ---- problem ----------------------------------------------------------------------------------
+# What a contact problem is, told without the words of any package.
+
+
+GROUND = "ground"
+CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
+_ZERO = (0.0, 0.0, 0.0)
+
+
+class Solid(NamedTuple):
+    """A free rigid body.
+
+    Attributes:
+        name: Its name.
+        mass: [kg].
+        shape: `sphere`, `box`, or `feet`: points below a box.
+        size: Radius, or three lengths [m].
+        at: Middle of the shape [m], shape (3,).
+        v: Velocity of the middle [m/s], shape (3,).
+        spin: Angular velocity in the world [rad/s], shape (3,).
+        centre: Mass centre, from the middle [m], shape (3,).
+        rpy: First attitude [rad], shape (3,).
+        legs: Number of feet: below the corners, or around the largest ellipse if not four.
+        is_free: Whether it moves.
+    """
+
+    name: str
+    mass: float
+    shape: str
+    size: tuple[float, ...]
+    at: tuple[float, float, float]
+    v: tuple[float, float, float] = _ZERO
+    spin: tuple[float, float, float] = _ZERO
+    centre: tuple[float, float, float] = _ZERO
+    rpy: tuple[float, float, float] = _ZERO
+    legs: int = 4
+    is_free: bool = True
+
+    @property
+    def moments(self) -> Array:
+        """Principal moments about the mass centre, those of a homogeneous shape [kg·m^2]."""
+        if self.shape == "sphere":
+            return np.full(3, 0.4 * self.mass * self.size[0] ** 2)
+        square = np.square(self.size)
+        return self.mass / 12.0 * (square.sum() - square)
+
+    @property
+    def feet(self) -> Array:
+        """Lower corners, or points of an ellipse between them, from the middle [m]."""
+        angles = 2.0 * np.pi * np.arange(self.legs) / self.legs
+        around = CORNERS if self.legs == 4 else np.column_stack((np.cos(angles), np.sin(angles)))
+        half = 0.5 * np.array(self.size)
+        return np.array([(x * half[0], y * half[1], -half[2]) for x, y in around])
+
+
+class Trace(NamedTuple):
+    """A run at the samples.
+
+    Attributes:
+        x: Middles of the solids that are free [m], shape (times, solids, 3).
+        v: Their velocities [m/s], the same shape.
+        spin: Their angular velocities in the world [rad/s], the same shape.
+        forces: Normal forces at the end [N], where the problem asks for them: one a pair, or one
+            a foot in their order.
+    """
+
+    x: Array
+    v: Array
+    spin: Array
+    forces: Array
+
+
+class Problem(NamedTuple):
+    """What is simulated, and what is true.
+
+    Attributes:
+        name: Letters, digits and underscores.
+        gravity: [m/s^2], shape (3,).
+        solids: From the lowest up.
+        pairs: Upper and lower solid, or `GROUND`: the half space z <= 0.
+        mu: Coefficient of friction of every pair.
+        restitution: Of every pair.
+        times: Samples [s].
+        error: Largest error of a run, in `unit`.
+        unit: Of the error.
+        asked: Error that this package must reach, in `unit`.
+        is_smooth: Whether nothing but smooth gaps occurs, so that events can be exact.
+        has_forces: Whether the error is one of forces.
+    """
+
+    name: str
+    gravity: tuple[float, float, float]
+    solids: tuple[Solid, ...]
+    pairs: tuple[tuple[str, str], ...]
+    mu: float
+    restitution: float
+    times: tuple[float, ...]
+    error: Callable[[Trace], float]
+    unit: str
+    asked: float
+    is_smooth: bool = True
+    has_forces: bool = False
+
+
+def penetration(problem: Problem, run: Trace) -> float:
+    """Depth of the lowest solid in the ground at the end [m]."""
+    lowest = problem.solids[0]
+    rest = lowest.size[0] if lowest.shape == "sphere" else 0.5 * lowest.size[2]
+    return max(0.0, rest - float(run.x[-1, 0, 2]))
+
+
+# ---- closed forms -----------------------------------------------------------------------------
+# Motion and forces of contact problems, in closed form.
+
+
+GRAVITY = 9.81  # m/s^2
+_RESTS = 1.0e-12  # m/s
+
+
+def incline(t: float, degrees: float, mu: float, speed: float) -> tuple[float, float]:
+    """A block on an incline: way and speed uphill.
+
+    Args:
+        t: Time [s].
+        degrees: Angle of the incline.
+        mu: Coefficient of friction.
+        speed: First speed uphill [m/s].
+
+    Returns:
+        Way [m] and speed [m/s].
+    """
+    angle = math.radians(degrees)
+    pull, rub = GRAVITY * math.sin(angle), mu * GRAVITY * math.cos(angle)
+    sign = math.copysign(1.0, speed) if speed else 0.0
+    slowing = pull * sign + rub  # along the slip
+    if speed == 0.0 or slowing <= 0.0:
+        end, way = (0.0, 0.0) if speed == 0.0 else (math.inf, 0.0)
+    else:
+        end, way = abs(speed) / slowing, sign * speed**2 / (2.0 * slowing)
+    if t < end:
+        return speed * t - 0.5 * sign * slowing * t**2, speed - sign * slowing * t
+    downhill = min(0.0, rub - pull)
+    return way + 0.5 * downhill * (t - end) ** 2, downhill * (t - end)
+
+
+def bend(t: float, degrees: float, speed: float) -> tuple[float, float]:
+    """A block that starts sideways on an incline whose mu is the tangent of its angle.
+
+    With the half angle's tangent u of the velocity against the line of steepest slope and
+    a = g sin(angle), the equation of motion is v0 u' = -2 a u / (1 + u^2), from u = 1.
+
+    Args:
+        t: Time [s].
+        degrees: Angle of the incline.
+        speed: First speed v0 sideways [m/s].
+
+    Returns:
+        Way sideways and downhill [m].
+    """
+    a = GRAVITY * math.sin(math.radians(degrees))
+    u = math.sqrt(float(np.real(lambertw(math.exp(1.0 - 4.0 * a * t / speed)))))
+    way = speed**2 / (2.0 * a)
+    return way * (4.0 / 3.0 - u - u**3 / 3.0), 0.5 * way * (-math.log(u) - (1.0 - u**4) / 4.0)
+
+
+def rolling(t: float, speed: float, spin: float, mu: float, radius: float) -> float:
+    """Way of a homogeneous sphere that slides until it rolls [m].
+
+    Args:
+        t: Time [s].
+        speed: First speed of the centre [m/s].
+        spin: First spin, with the sign of rolling forward [rad/s].
+        mu: Coefficient of friction.
+        radius: [m].
+    """
+    slip = speed - spin * radius
+    braking = math.copysign(mu * GRAVITY, slip)
+    slides = min(t, abs(2.0 * slip / (7.0 * mu * GRAVITY)))
+    way = speed * slides - 0.5 * braking * slides**2
+    return way + (speed - braking * slides) * (t - slides)
+
+
+def bounce(t: float, height: float, e: float) -> float:
+    """Height of a ball that falls from rest and bounces [m].
+
+    Args:
+        t: Time [s].
+        height: Of its start [m].
+        e: Restitution, below 1.
+    """
+    fall = math.sqrt(2.0 * height / GRAVITY)
+    if t <= fall:
+        return height - 0.5 * GRAVITY * t**2
+    speed, begin = e * GRAVITY * fall, fall
+    while speed > _RESTS and begin + 2.0 * speed / GRAVITY < t:
+        begin, speed = begin + 2.0 * speed / GRAVITY, e * speed
+    if speed < _RESTS:
+        return 0.0
+    return speed * (t - begin) - 0.5 * GRAVITY * (t - begin) ** 2
+
+
+def legs(table: float, load: float, place: Sequence[float]) -> Array:
+    """Forces of four legs at the corners (1, 1), (-1, 1), (-1, -1), (1, -1), those of least norm.
+
+    Args:
+        table: Mass of the table, centred [kg].
+        load: Mass on it [kg].
+        place: Of the load, in half lengths of the table, shape (2,).
+
+    Returns:
+        [N], shape (4,).
+    """
+    x, y = place
+    signs = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+    shares: Array = 0.25 * GRAVITY * (table + load * (1.0 + signs.dot((x, y))))
+    return shares
+
+
+# ---- problems ---------------------------------------------------------------------------------
+# Contact problems with known solutions.
+
 
 _DOWN = (0.0, 0.0, -GRAVITY)
 
@@ -57,7 +279,7 @@ def _problem(name: str, solid: Solid, mu: float, times: Sequence[float], **other
 
 def _incline(name: str, degrees: float, mu: float, speed: float) -> Problem:
     times = _samples(3.0, 15)
-    known = np.array([closed_forms.incline(t, degrees, mu, speed)[0] for t in times])
+    known = np.array([incline(t, degrees, mu, speed)[0] for t in times])
 
     def error(run: Trace) -> float:
         return float(np.abs(run.x[:, 0, 0] - known).max())
@@ -69,7 +291,7 @@ def _incline(name: str, degrees: float, mu: float, speed: float) -> Problem:
 def _curve() -> Problem:
     """Friction is isotropic: a block that slides around a bend."""
     times, degrees, speed = _samples(2.0, 10), 30.0, 2.0
-    known = np.array([closed_forms.bend(t, degrees, speed) for t in times])
+    known = np.array([bend(t, degrees, speed) for t in times])
 
     def error(run: Trace) -> float:
         return float(np.abs(run.x[:, 0, :2] - known).max())
@@ -83,7 +305,7 @@ def _curve() -> Problem:
 
 def _rolling(name: str, spin: float) -> Problem:
     times, radius, mu, speed = _samples(3.0, 15), 0.1, 0.2, 5.0
-    known = np.array([closed_forms.rolling(t, speed, spin, mu, radius) for t in times])
+    known = np.array([rolling(t, speed, spin, mu, radius) for t in times])
 
     def error(run: Trace) -> float:
         return float(np.abs(run.x[:, 0, 0] - known).max())
@@ -94,7 +316,7 @@ def _rolling(name: str, spin: float) -> Problem:
 
 def _bounce() -> Problem:
     times, radius, e = _samples(5.0, 25), 0.1, 0.8
-    known = np.array([closed_forms.bounce(t, 1.0, e) for t in times])
+    known = np.array([bounce(t, 1.0, e) for t in times])
 
     def error(run: Trace) -> float:
         return float(np.abs(run.x[:, 0, 2] - radius - known).max())
@@ -146,7 +368,7 @@ def _stack() -> Problem:
 def _table() -> Problem:
     """Four legs carry a load beside the middle: forces are split as those of equal springs."""
     table, load, place, length = 4.0, 1.0, (0.5, -0.25), 1.0
-    known = closed_forms.legs(table, load, place)
+    known = legs(table, load, place)
     mass = table + load
     x, y = (0.5 * length * load / mass * s for s in place)
 
@@ -157,3 +379,36 @@ def _table() -> Problem:
     feet, times = feet._replace(centre=(x, y, 0.0)), _samples(1.0, 1)
     more = {"unit": "relative", "asked": 1e-9, "has_forces": True}
     return _problem("table", feet, 0.5, times, error=error, **more)
+
+
+# ---- soft bounce ------------------------------------------------------------------------------
+# Restitution of a linear spring and damper that only pushes.
+
+
+_HALVINGS = 60
+
+
+def damping_ratio(restitution: float) -> float:
+    """Damping ratio of the contact that gives back a share of the speed of an impact.
+
+    The contact ends when its force vanishes, not when its gap does.
+
+    Args:
+        restitution: From 0 to 1; 0 gives critical damping.
+
+    Source: T. Schwager, T. Pöschel, Granular Matter 9, 2007, 465-469, eq. 21.
+    """
+    if restitution == 0.0:
+        return 1.0
+    low, high = 0.0, 1.0
+    for _ in range(_HALVINGS):
+        ratio = 0.5 * (low + high)
+        low, high = (ratio, high) if _restitution(ratio) > restitution else (low, ratio)
+    return 0.5 * (low + high)
+
+
+def _restitution(ratio: float) -> float:
+    """With damping beta and frequency omega, both in units of the undamped frequency."""
+    beta, omega = ratio, math.sqrt(1.0 - ratio**2)
+    phase = math.pi - math.atan2(2.0 * beta * omega, omega**2 - beta**2)
+    return math.exp(-beta / omega * phase)

@@ -15,13 +15,12 @@ from mbd_ros.applications.report.left_out.probe import LIBRARIES
 from mbd_ros.applications.report.subjects import failures, subjects
 from mbd_ros.core.dynamics.system import evaluation_at
 from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.projection.assembly import project
 from mbd_ros.errors import MbdError, ModelError
+from mbd_ros.methods.projection.assembly import project
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
-from mbd_ros.scene.runs.compiling import attempted
-from mbd_ros.scene.runs.symbolic_parts import traced
+from mbd_ros.scene.runs.compiling import attempted, traced
 from mbd_ros.scene.schema.code_permission import is_permitted
 
 # Operations of the equations of a scene, and which of them its parts add.

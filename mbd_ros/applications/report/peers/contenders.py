@@ -8,8 +8,13 @@ from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
-from mbd_ros.applications.report.precision.choices import COMPILED, Choice
-from mbd_ros.applications.report.precision.converged import Known, distance, problem_of
+from mbd_ros.applications.report.precision.converged import (
+    COMPILED,
+    Choice,
+    Known,
+    distance,
+    problem_of,
+)
 from mbd_ros.applications.report.precision.reference_problems import error
 from mbd_ros.applications.report.precision.rungs import Record, timed
 from mbd_ros.core.state import State

@@ -9,13 +9,13 @@ from mbd_ros.applications.report.items import Item, Outcome, Section, Spec
 from mbd_ros.applications.report.peers.contenders import Contender, Ours, compete
 from mbd_ros.applications.report.peers.text import compose
 from mbd_ros.applications.report.peers.translation import common_ground, task_of
-from mbd_ros.applications.report.precision.choices import (
+from mbd_ros.applications.report.precision.converged import (
     COMPILED,
     Choice,
     compiles,
+    motion_of,
     stabilizations,
 )
-from mbd_ros.applications.report.precision.converged import motion_of
 from mbd_ros.applications.report.subjects import failures, is_own, subjects
 from mbd_ros.errors import MbdError, SceneError
 from mbd_ros.scene.built_scene import Scene

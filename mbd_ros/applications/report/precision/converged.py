@@ -7,18 +7,130 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.applications.report.precision.choices import Choice
 from mbd_ros.applications.report.precision.reference_problems import (
     PROBLEMS,
     Problem,
     error,
     reference,
 )
-from mbd_ros.core.simulation.simulation import Simulation
+from mbd_ros.core.dynamics.tiers import TIERS
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import MbdError, SolveError
+from mbd_ros.errors import MbdError, SceneError, SolveError
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
+
+# ---- choices ----------------------------------------------------------------------------------
+# Choices for a scene: formulation, stabilization, integrator, step.
+
+
+BAUMGARTE = {"type": "baumgarte", "time_constant": 0.02}
+STABILIZATIONS: tuple[Mapping[str, Any], ...] = (
+    {"type": "projection"},
+    BAUMGARTE,
+    {"type": "none"},
+)
+WANTED = (1.0e-3, 1.0e-6, 1.0e-9)  # errors for which a choice is offered [rad or m]
+COMPILED = "compiled"  # the plain tier in native code
+KEEPERS = ("rattle", "shake", "generalized_alpha")  # keep rows themselves
+
+
+class Choice(NamedTuple):
+    """One way to integrate a scene.
+
+    Attributes:
+        solver: A tier of `mbd_ros.core.dynamics.tiers`, `plain` for the cheapest, `compiled` for
+            the cheapest in native code.
+        stabilization: Its entry; None where there is nothing to stabilize.
+        integrator: Its entry.
+        dt: Step, or with a tolerance longest first step [s].
+    """
+
+    solver: str
+    stabilization: Mapping[str, Any] | None
+    integrator: Mapping[str, Any]
+    dt: float
+
+    @property
+    def method(self) -> str:
+        """Name of the integrator with the option that separates it from its relatives."""
+        more = [f"{k} {v}" for k, v in self.integrator.items() if k in ("order", "stages")]
+        return " ".join([self.integrator["type"], *more])
+
+    @property
+    def fineness(self) -> str:
+        """Tolerance or step."""
+        tolerance = self.integrator.get("tolerance")
+        return f"dt {self.dt:g} s" if tolerance is None else f"tolerance {tolerance:g}"
+
+    def build(self, scene: Scene) -> Simulation:
+        """The simulation of a scene that is chosen."""
+        return scene.simulation(
+            integrator=self.integrator,
+            dt=self.dt,
+            stabilization=self.stabilization,
+            solver={"type": self.solver},
+        )
+
+
+def of_record(record: Mapping[str, Any]) -> Choice:
+    """The choice that a result was made with."""
+    return Choice(*(record[key] for key in Choice._fields))
+
+
+def snippet(choice: Choice) -> str:
+    """Lines to be pasted into a scene file."""
+    lines = [f"integrator: {_entry(choice.integrator)}", f"dt: {_number(choice.dt)}"]
+    if choice.stabilization is not None:
+        lines.insert(0, f"stabilization: {_entry(choice.stabilization)}")
+    if choice.solver != "plain":
+        lines.insert(0, f"solver: {{type: {choice.solver}}}")
+    return "\n".join(lines)
+
+
+def formulations(scene: Scene) -> list[str]:
+    """`plain` and the tiers that solve the scene differently."""
+    seen, names = {_signature(scene, "plain")}, ["plain"]
+    for name in TIERS[1:]:
+        try:
+            signature = _signature(scene, name)
+        except SceneError:
+            continue
+        if signature not in seen:
+            seen.add(signature)
+            names.append(name)
+    return names
+
+
+def compiles(scene: Scene, integrator: Mapping[str, Any]) -> bool:
+    """Whether `auto` takes compiled steps; not where extra or compiler are missing."""
+    simulation = scene.simulation(integrator=integrator, solver={"type": "auto"})
+    return simulation.how.startswith(COMPILED)
+
+
+def stabilizations(scene: Scene, solver: str, kind: str) -> Sequence[Mapping[str, Any] | None]:
+    """Those that make a difference with a tier and an integrator, the usual one first."""
+    has_rows = bool(scene.system(solver={"type": solver}).rows)
+    return STABILIZATIONS if has_rows and kind not in KEEPERS else (None,)
+
+
+def _signature(scene: Scene, solver: str) -> tuple[type, int, bool]:
+    system = scene.system(solver={"type": solver})
+    return system.tier, len(system.rows), system.bounded is not None
+
+
+def _entry(entry: Mapping[str, Any]) -> str:
+    values = {k: _number(v) if isinstance(v, float) else str(v) for k, v in entry.items()}
+    return f"{{{', '.join(f'{k}: {v}' for k, v in values.items())}}}"
+
+
+def _number(value: float) -> str:
+    return f"{value:g}"
+
+
+# ---- converged --------------------------------------------------------------------------------
+# Motion of a scene to rounding, and how far a second method agrees.
+
 
 BY_NAME = {problem.name: problem for problem in PROBLEMS}
 _FINE = {"type": "dop853", "tolerance": 1e-13}
@@ -162,3 +274,61 @@ def _published(scene: Scene, states: Sequence[State]) -> tuple[float | None, boo
         return None, False
     found = error(problem, scene.robot, states)
     return found, not found <= reference(problem.reference).high
+
+
+# ---- rattle check -----------------------------------------------------------------------------
+# A check of converged motion by a method that never sees the drift of a constraint.
+
+
+_STEPS = (1.0, 0.5, 0.25, 0.125)  # of the scene
+_NEAR = 1.0e-8  # [rad or m]: agreement that proves the point by itself
+_SETTLED = 2.0  # distance in last changes; a method of order 2 that approaches has 1/3
+
+
+class Approach(NamedTuple):
+    """Result of the check.
+
+    Attributes:
+        is_wrong: RATTLE settles on another motion.
+        text: Its largest differences in position from step to step [rad or m].
+    """
+
+    is_wrong: bool
+    text: str
+
+
+def approach(scene: Scene, motion: Known) -> Approach:
+    """Whether RATTLE approaches a converged motion as its step is halved.
+
+    Accelerations need J' v, which RATTLE does not read: it keeps g = 0 and J v = 0 by impulses. A
+    wrong drift therefore leaves RATTLE settled at a distance. Where it does not settle with these
+    steps, at a toggle, there is no result.
+    """
+    if not scene.system().rows:
+        return Approach(False, "no rows")
+    runs = _runs(scene, motion)
+    if len(runs) < 2:
+        return Approach(False, "RATTLE does not run here")
+    away = [_apart(scene, run, motion.states) for run in runs]
+    shown = "RATTLE, step halved: " + " -> ".join(f"{d:.1e}" for d in away)
+    is_settled = away[-1] > _SETTLED * _apart(scene, runs[-1], runs[-2])
+    if away[-1] > _NEAR and is_settled:
+        return Approach(True, shown)
+    return Approach(False, shown if away[-1] < away[-2] else f"{shown}, not settled")
+
+
+def _runs(scene: Scene, motion: Known) -> list[list[State]]:
+    """States of all joints at the samples, for steps that are halved."""
+    runs = []
+    for steps in _STEPS:
+        choice = Choice("plain", None, {"type": "rattle"}, steps * scene.dt)
+        try:
+            simulation, ys = trace(scene, choice, motion.times)
+        except MbdError:
+            continue
+        runs.append([simulation.system.expand(y) for y in ys])
+    return runs
+
+
+def _apart(scene: Scene, ours: Sequence[State], theirs: Sequence[State]) -> float:
+    return max(distance(scene, x, y) for x, y in zip(ours, theirs, strict=True))

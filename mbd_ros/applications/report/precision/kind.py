@@ -6,22 +6,23 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 from mbd_ros.applications.report.items import Item, Outcome, Section, Spec
-from mbd_ros.applications.report.precision.choices import (
+from mbd_ros.applications.report.precision.converged import (
     COMPILED,
     WANTED,
     Choice,
+    Known,
+    approach,
     compiles,
     formulations,
+    known,
     of_record,
     stabilizations,
 )
-from mbd_ros.applications.report.precision.converged import Known, known
-from mbd_ros.applications.report.precision.rattle_check import approach
 from mbd_ros.applications.report.precision.rungs import Record, measure
 from mbd_ros.applications.report.precision.text import compose
 from mbd_ros.applications.report.subjects import Subject, failures, is_own, subjects
-from mbd_ros.core.events.switching import DiscontinuousForce
 from mbd_ros.errors import MbdError
+from mbd_ros.methods.events.mode_field import DiscontinuousForce
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 

@@ -7,13 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.applications.report.precision.choices import Choice
-from mbd_ros.applications.report.precision.converged import Known, distance, problem_of
+from mbd_ros.applications.report.precision.converged import Choice, Known, distance, problem_of
 from mbd_ros.applications.report.precision.reference_problems import error
-from mbd_ros.core.projection.assembly import violation
-from mbd_ros.core.simulation.simulation import Simulation
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError, SolveError
+from mbd_ros.methods.projection.assembly import violation
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 
 Record = dict[str, Any]

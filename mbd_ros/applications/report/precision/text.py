@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.applications.report.items import Section, Table
-from mbd_ros.applications.report.precision.choices import WANTED, Choice, of_record, snippet
+from mbd_ros.applications.report.precision.converged import WANTED, Choice, of_record, snippet
 from mbd_ros.applications.report.precision.pareto import Point, cheapest, front
 from mbd_ros.applications.report.precision.work_precision import diagram
 

@@ -19,22 +19,26 @@ from mbd_ros.applications.report.stability.cases import (
     Case,
     Verdict,
     applicable,
+    asked_step,
     chooses_steps,
     is_named,
     longest_step,
     raised,
+    room,
     tiers,
 )
-from mbd_ros.applications.report.stability.contact_rows import ContactRow, contact_rows
-from mbd_ros.applications.report.stability.contact_verdicts import contact_methods, judge_contact
-from mbd_ros.applications.report.stability.extreme_scenes import Extreme, extremes, item_name
-from mbd_ros.applications.report.stability.motion import Grid
-from mbd_ros.applications.report.stability.other_formulations import Known
+from mbd_ros.applications.report.stability.contact import (
+    ContactRow,
+    contact_methods,
+    contact_rows,
+    judge_contact,
+)
 from mbd_ros.applications.report.stability.page import stability_section
-from mbd_ros.applications.report.stability.random_scenes import random_scene
 from mbd_ros.applications.report.stability.reference_motion import (
     FINE,
     LEAST_RATE,
+    Grid,
+    Known,
     first,
     starting_rate,
 )
@@ -44,10 +48,10 @@ from mbd_ros.applications.report.stability.scene_text import (
     load,
     load_file,
 )
-from mbd_ros.applications.report.stability.steps import asked_step, room
+from mbd_ros.applications.report.stability.scenes import Extreme, extremes, item_name, random_scene
 from mbd_ros.applications.report.stability.verdicts import judge, step_on
-from mbd_ros.core.projection.assembly import assemble
 from mbd_ros.core.state import State
+from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.scene.built_scene import Scene
 
 # Whether a scene obeys mechanics along its reference motion, of any origin.
@@ -235,9 +239,9 @@ def items(scenes: Sequence[str], quick: bool) -> list[Item]:
         Item(KIND, row.name, {"contact": row.name}, row.seconds) for row in contact_rows(quick)
     ]
     count, batch = (QUICK, QUICK // 2) if quick else (SCENES, BATCH)
-    for first in range(0, count, batch):
-        spec = {"first": first, "count": batch}
-        rows.append(Item(KIND, f"random-{first:04d}", spec, _SECONDS * batch))
+    for start in range(0, count, batch):
+        spec = {"first": start, "count": batch}
+        rows.append(Item(KIND, f"random-{start:04d}", spec, _SECONDS * batch))
     return rows
 
 

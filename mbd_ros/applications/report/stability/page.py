@@ -13,6 +13,8 @@ from mbd_ros.applications.report.stability.cases import (
     BOUNDED,
     COLUMNS,
     CONVERGED,
+    FITTING,
+    LATEST,
     STOPPED,
     UNKNOWN,
     VERDICTS,
@@ -21,7 +23,6 @@ from mbd_ros.applications.report.stability.cases import (
 )
 from mbd_ros.applications.report.stability.figures import verdict_map
 from mbd_ros.applications.report.stability.row_labels import row_label
-from mbd_ros.applications.report.stability.steps import FITTING, LATEST
 from mbd_ros.applications.report.stability.verdicts import ASKED, COARSE
 
 # The meaning of cells, numbers and labels of the map, a sentence each.

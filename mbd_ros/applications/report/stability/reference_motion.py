@@ -1,17 +1,128 @@
 """Motion that two families of methods agree on, and for how long it can be told."""
 
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
+from scipy.integrate import solve_ivp
 
-from mbd_ros.applications.report.stability.motion import Grid, Motion, motion
-from mbd_ros.applications.report.stability.other_formulations import Known
-from mbd_ros.core.integration.linear_motion import LinearMotion, fastest_rate, linear_motion
-from mbd_ros.core.projection.assembly import assemble
+from mbd_ros.applications.report.stability.scene_text import Entry, LoadedScene
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import SolveError
+from mbd_ros.errors import MbdError, SolveError
+from mbd_ros.methods.integration.linear_motion import LinearMotion, fastest_rate, linear_motion
+from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.scene.built_scene import Scene
+
+# ---- motion -----------------------------------------------------------------------------------
+# Runs of a scene, kept on a grid of times.
+
+
+class Grid(NamedTuple):
+    """Times at which motions are compared: 0, interval, .., count * interval [s]."""
+
+    interval: float
+    count: int
+
+    @property
+    def span(self) -> float:
+        """Last time [s]."""
+        return self.interval * self.count
+
+
+class Motion(NamedTuple):
+    """A run.
+
+    Attributes:
+        states: Those on the grid.
+        reason: Why there are not more of them; empty if there are all.
+        every: All states, one a step.
+    """
+
+    states: list[State]
+    reason: str
+    every: Sequence[State] = ()
+
+
+def motion(
+    scene: Scene, method: Entry, dt: float, grid: Grid, solver: str = "plain", **others: Any
+) -> Motion:
+    """Run a scene and keep the states on a grid.
+
+    Args:
+        scene: The scene.
+        method: Integrator entry.
+        dt: A whole fraction of the interval [s], or a longer step than half of it, whose states
+            are all kept.
+        grid: When to keep states.
+        solver: Tier.
+        **others: `start`: state to begin with; `stabilization`: entry.
+    """
+    found: list[State] = []
+    every = max(1, round(grid.interval / dt))
+    try:
+        start = others.pop("start", scene.initial)
+        simulation = scene.simulation(integrator=method, dt=dt, solver={"type": solver}, **others)
+        for x in simulation.run(start, grid.span):
+            found.append(x)
+    except MbdError as error:
+        return Motion(found[::every], f"{type(error).__name__}: {error}", found)
+    return Motion(found[::every], "", found)
+
+
+# ---- other formulations -----------------------------------------------------------------------
+# Motion of extreme scenes by other equations than the tested ones.
+
+
+Known = Callable[[Grid], Motion]
+_PRECISE = 1.0e-12
+
+
+def elsewhere(load: Callable[[], LoadedScene], solver: str) -> Known:
+    """Motion of a scene with the same joints at another place, under another tier."""
+
+    def known(grid: Grid) -> Motion:
+        method = {"type": "dop853", "tolerance": _PRECISE}
+        return motion(load().scene, method, grid.interval, grid, solver)
+
+    return known
+
+
+def rotor(moments: Sequence[float], rates: Sequence[float]) -> Known:
+    """A free rotor on hinges z, y, x from angles 0, by Euler's equations in body axes.
+
+    I w' = (I w) x w, and w = (c' - a' sin b, b' cos c + a' cos b sin c, a' cos b cos c - b' sin c)
+    of the angles a, b, c.
+
+    Args:
+        moments: Principal moments of inertia [kg·m^2], shape (3,).
+        rates: First rates of the angles [rad/s], shape (3,).
+    """
+    inertia = np.array(moments)
+
+    def angular_rates(y: Array) -> Array:
+        (_, b, c), (x, across, along) = y[:3], y[3:]
+        a_rate = (across * np.sin(c) + along * np.cos(c)) / np.cos(b)
+        b_rate = across * np.cos(c) - along * np.sin(c)
+        return np.array([a_rate, b_rate, x + a_rate * np.sin(b)])
+
+    def slope(_: float, y: Array) -> Array:
+        w = y[3:]
+        return np.concatenate([angular_rates(y), np.cross(inertia * w, w) / inertia])
+
+    def known(grid: Grid) -> Motion:
+        times = np.linspace(0.0, grid.span, grid.count + 1)
+        start, span = np.array([0.0, 0.0, 0.0, *rates[::-1]]), (0.0, grid.span)
+        found = solve_ivp(slope, span, start, "DOP853", times, rtol=_PRECISE, atol=_PRECISE)
+        rows = zip(found.t.tolist(), found.y.T, strict=True)
+        return Motion([State(t, y[:3].copy(), angular_rates(y)) for t, y in rows], "")
+
+    return known
+
+
+# ---- reference motion -------------------------------------------------------------------------
+# Motion that two families of methods agree on, and for how long it can be told.
+
 
 _FIRST = {"type": "dop853"}
 _SECOND = {"type": "gauss_legendre", "stages": 3}

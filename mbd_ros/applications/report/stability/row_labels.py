@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from mbd_ros.applications.report.stability.steps import is_another
+from mbd_ros.applications.report.stability.cases import is_another
 
 _WHOLE = 0.999  # of the span
 

@@ -16,16 +16,21 @@ from mbd_ros.applications.report.stability.cases import (
     WRONG,
     Case,
     Verdict,
+    asked_step,
+    fitted,
     integrator,
     is_named,
 )
-from mbd_ros.applications.report.stability.motion import Motion, motion
-from mbd_ros.applications.report.stability.reference_motion import distance, starting_motion
+from mbd_ros.applications.report.stability.reference_motion import (
+    Motion,
+    distance,
+    motion,
+    starting_motion,
+)
 from mbd_ros.applications.report.stability.scene_text import Entry
-from mbd_ros.applications.report.stability.steps import asked_step, fitted
-from mbd_ros.core.integration.linear_motion import longest_step
 from mbd_ros.core.state import State
-from mbd_ros.features.simulation.step_check import step_warnings
+from mbd_ros.features.simulation.checks import step_warnings
+from mbd_ros.methods.integration.linear_motion import longest_step
 
 ASKED = 1.0e-3  # error relative to the size of the motion
 _SLOW = 1.0e-7  # the same of rates, relative to the fastest joint

@@ -5,16 +5,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.features.identification.base_parameters import base_parameters
-from mbd_ros.features.identification.excite.limits import Limits, refuse
-from mbd_ros.features.identification.fourier import Fourier
+from mbd_ros.features.identification.excite.excitation import Fourier, Limits, refuse
 from mbd_ros.features.identification.regressor import Regressor, random_states
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, progress, watching
+from mbd_ros.jobs.progress import Say, Watch, progress, watching
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.scene.built_scene import Scene
 
 _RANDOM = 200  # motions that are tried before the best of them is improved

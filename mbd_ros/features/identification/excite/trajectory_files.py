@@ -12,7 +12,7 @@ from mbd_ros.features.identification.excite.job import Excitation, excite, point
 from mbd_ros.files.bags.bag_types import new_message
 from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.replacing import replacing
-from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
 
 _TYPE = "trajectory_msgs/msg/JointTrajectory"

@@ -15,13 +15,20 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
+from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.features.identification.job import run_identify
-from mbd_ros.features.identification.learn.adapting import MOST
-from mbd_ros.features.identification.learn.ensembles import first_weights, network_of, said_by
-from mbd_ros.features.identification.learn.fitting import INFORMED, fit
+from mbd_ros.features.identification.learn.ensembles import (
+    Samples,
+    Scales,
+    blocks_of,
+    first_weights,
+    network_of,
+    said_by,
+    trusted,
+)
+from mbd_ros.features.identification.learn.fitting import INFORMED, MOST, fit
 from mbd_ros.features.identification.learn.job import prediction, without_model
 from mbd_ros.features.identification.learn.recordings import (
     FEWEST,
@@ -30,14 +37,12 @@ from mbd_ros.features.identification.learn.recordings import (
     share_of,
     thinned,
 )
-from mbd_ros.features.identification.learn.scales import Samples, Scales
 from mbd_ros.features.identification.learn.task import Task
-from mbd_ros.features.identification.learn.trust import blocks_of, trusted
 from mbd_ros.features.identification.regressor import limits_of
 from mbd_ros.features.identification.samples import Recorded, split
 from mbd_ros.features.identification.task import Task as IdentifyTask
 from mbd_ros.files.table import Column, Table
-from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
 
 WAYS = ("physics", "identified", "black box", "residual", "physics-informed")
@@ -203,8 +208,8 @@ def _asked(scene: Scene, recordings: Recordings, add: Torque) -> Asked:
 
 def _black_box(task: Task, train: Samples, test: Samples, asked: Asked | None) -> float:
     """Error of a network without physics, or with physics in its loss alone."""
-    from mbd_ros.features.identification.learn.training import Collocation, Plan
-    from mbd_ros.features.identification.learn.training import train as fitted
+    from mbd_ros.features.identification.learn.network import Collocation, Plan
+    from mbd_ros.features.identification.learn.network import train as fitted
 
     few = thinned(train, MOST)
     scales, random = Scales.of(few, few.effort), np.random.default_rng(task.seed)

@@ -6,24 +6,26 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.learned.model_file import numbers_of
-from mbd_ros.core.learned.training_range import TrainingRange
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError
-from mbd_ros.features.identification.identified_scene import description_of
 from mbd_ros.features.identification.job import run_identify
 from mbd_ros.features.identification.learn.correcting import Columns
-from mbd_ros.features.identification.learn.ensembles import network_of, require_torch, said_by
+from mbd_ros.features.identification.learn.ensembles import (
+    Samples,
+    network_of,
+    require_torch,
+    said_by,
+)
 from mbd_ros.features.identification.learn.fitting import fit
 from mbd_ros.features.identification.learn.onnx_file import onnx_of
 from mbd_ros.features.identification.learn.recordings import FEWEST, Recordings, share_of
-from mbd_ros.features.identification.learn.scales import Samples
 from mbd_ros.features.identification.learn.task import FREEZE, Learned, Outcome, Task
+from mbd_ros.features.identification.outcome import description_of
 from mbd_ros.features.identification.samples import split
 from mbd_ros.features.identification.task import Task as IdentifyTask
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, share_watch, watching
+from mbd_ros.jobs.progress import Say, Watch, share_watch, watching
+from mbd_ros.methods.learned import TrainingRange, numbers_of
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 

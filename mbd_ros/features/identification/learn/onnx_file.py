@@ -5,16 +5,16 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.learned.model_file import ABOUT, SUM, ZEROS, About, signed
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
-from mbd_ros.features.identification.learn.curves import (
+from mbd_ros.features.identification.learn.ensembles import (
     CURVES,
     LEAST_INERTIA,
+    Scales,
     usual_energy,
     usual_inertia,
 )
-from mbd_ros.features.identification.learn.scales import Scales
+from mbd_ros.methods.learned import ABOUT, SUM, ZEROS, About, signed
 
 _OPSET = 17
 _IR = 8  # of the file format: what readers of some years ago know

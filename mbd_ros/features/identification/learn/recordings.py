@@ -5,16 +5,15 @@ from itertools import zip_longest
 
 import numpy as np
 
-from mbd_ros.core.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
+from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.features.identification.band import band_of
-from mbd_ros.features.identification.learn.scales import Samples
+from mbd_ros.features.identification.learn.ensembles import Samples
 from mbd_ros.features.identification.learn.task import Task
-from mbd_ros.features.identification.samples import Piece, Recorded, pieces, read
-from mbd_ros.jobs.lines import Say
-from mbd_ros.motion.loop_closing import kept_rows
+from mbd_ros.features.identification.samples import Piece, Recorded, band_of, pieces, read
+from mbd_ros.jobs.progress import Say
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
+from mbd_ros.motion.samples import kept_rows
 from mbd_ros.scene.built_scene import Scene
 
 _MEASURED = 0.99  # of the samples: a joint with fewer efforts is not learned

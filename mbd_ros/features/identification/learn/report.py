@@ -11,22 +11,18 @@ from zipfile import BadZipFile
 import numpy as np
 import yaml
 
-from mbd_ros.core.learned.model_file import about_of, check_robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError, SceneError
-from mbd_ros.features.identification.identified_scene import (
-    description_of,
-    scene_text,
-    write_files,
-)
 from mbd_ros.features.identification.learn.comparison import WAYS, compare
 from mbd_ros.features.identification.learn.correcting import Known
+from mbd_ros.features.identification.learn.ensembles import Scales
 from mbd_ros.features.identification.learn.job import run_learn
-from mbd_ros.features.identification.learn.scales import Scales
 from mbd_ros.features.identification.learn.task import Learned, Outcome, Task
+from mbd_ros.features.identification.outcome import description_of, scene_text, write_files
 from mbd_ros.files.replacing import refuse_overwriting
 from mbd_ros.files.table import Table
-from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Say
+from mbd_ros.methods.learned import about_of, check_robot
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 

@@ -13,17 +13,16 @@ from mbd_ros.core.model.inertial_parameters import (
 )
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.identification.checks import check_excitation, check_length
-from mbd_ros.features.identification.identified_scene import FRICTION
 from mbd_ros.features.identification.job import run_identify
 from mbd_ros.features.identification.least_squares import stacked
+from mbd_ros.features.identification.outcome import FRICTION
 from mbd_ros.features.identification.physical_consistency import consistent
 from mbd_ros.features.identification.problem import Problem
 from mbd_ros.features.identification.regression import Learned, Search, learn
+from mbd_ros.features.identification.samples import check_excitation, check_length
 from mbd_ros.features.identification.task import Task
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.jobs.lines import Say
-from mbd_ros.jobs.progress import Watch, watching
+from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 

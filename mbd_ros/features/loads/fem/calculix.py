@@ -1,4 +1,4 @@
-"""Input of CalculiX and Abaqus: a static step for every instant.
+"""Input of CalculiX and Abaqus: static steps, or loads as amplitudes.
 
 Forces of joints, contacts and muscles act on reference nodes; gravity and the acceleration of the
 origin as GRAV, the angular velocity as CENTRIF, the angular acceleration as forces on nodes, for
@@ -12,10 +12,14 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
-from mbd_ros.features.loads.fem.attachments import Attachment
 from mbd_ros.features.loads.fem.elements import KINDS
-from mbd_ros.features.loads.fem.model import Body, Step
+from mbd_ros.features.loads.fem.model import Attachment, Body, Step, centre_field, load_over_time
+
+# ---- calculix ---------------------------------------------------------------------------------
+# Input of CalculiX and Abaqus: a static step for every instant.
+
 
 _A_LINE = 16  # entries of a line
 SOLID, _SPUN = "SOLID", "SPUN"
@@ -171,3 +175,50 @@ def _name(one: Attachment) -> str:
 def text_of(lines: Iterable[str]) -> bytes:
     """The lines as a file."""
     return ("\n".join(lines) + "\n").encode()
+
+
+# ---- calculix amplitudes ----------------------------------------------------------------------
+# Input of CalculiX and Abaqus: one step over the whole motion, loads as amplitudes over time.
+#
+# CalculiX goes through the times of a static step with large displacements only, and takes one
+# amplitude a node and direction: gravity and inertia are the field of the mass centre, the part by
+# rotation is left out. Source: G. Dhondt, CalculiX CrunchiX USER'S MANUAL version 2.20, sections
+# *AMPLITUDE, *STATIC, *STEP.
+
+
+_PAIRS = 4  # of time and value a line
+
+
+def amplitude_lines(body: Body) -> Iterator[str]:
+    """The lines of an input file."""
+    stamps, L = body.history.stamps, body.units.per_metre
+    times = (stamps - stamps[0]) * NANOSECOND
+    yield from model_lines(body)
+    references, forces, fields = references_of(body), list[str](), list[str]()
+    for one in body.loaded:
+        force, moment = load_over_time(body, one)
+        moving, turning = references[one.name]
+        first = 1 if turning != moving else 4
+        for node, start, values in ((moving, 1, force), (turning, first, moment * L)):
+            for axis, curve in enumerate(values.T):
+                if curve.any():
+                    name = f"LOAD_{len(forces)}"
+                    yield from _amplitude(name, times, curve)
+                    forces.append(f"*CLOAD,AMPLITUDE={name}\n{node},{start + axis},1.")
+    for axis, curve in enumerate(centre_field(body).T * L):
+        if curve.any():
+            yield from _amplitude(f"FIELD_{axis}", times, curve)
+            direction = ",".join("1." if i == axis else "0." for i in range(3))
+            fields.append(f"*DLOAD,AMPLITUDE=FIELD_{axis}\n{SOLID},GRAV,1.,{direction}")
+    yield f"** from t = {stamps[0] * NANOSECOND:.9g} s on"
+    yield f"*STEP,NLGEOM,INC={2 * len(times) + 100}"
+    yield "*STATIC,DIRECT"
+    yield f"{times[-1] / max(len(times) - 1, 1):.12g},{times[-1]:.12g}"
+    yield from (*forces, *fields, *OUTPUT, "*END STEP")
+
+
+def _amplitude(name: str, times: Array, values: Array) -> Iterator[str]:
+    yield f"*AMPLITUDE,NAME={name}"
+    pairs = [f"{t:.12g},{v:.12g}" for t, v in zip(times.tolist(), values.tolist(), strict=True)]
+    for i in range(0, len(pairs), _PAIRS):
+        yield ",".join(pairs[i : i + _PAIRS])

@@ -11,10 +11,8 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.loads.fem.attachments import Attachment
-from mbd_ros.features.loads.fem.centre_field import centre_field
 from mbd_ros.features.loads.fem.elements import KINDS
-from mbd_ros.features.loads.fem.model import Body, Step
+from mbd_ros.features.loads.fem.model import Attachment, Body, Step, centre_field
 
 _ANCHOR = 1.0e-3  # diagonals of the mesh: size of the element that stands for a rigid body
 _DOFS = ("rigid_force", ("Rx", "Ry", "Rz")), ("rigid_moment", ("Ru", "Rv", "Rw"))

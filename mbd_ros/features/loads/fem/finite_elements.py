@@ -5,20 +5,22 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError
-from mbd_ros.features.loads.fem.attachments import (
+from mbd_ros.features.loads.fem.elements import mass_of
+from mbd_ros.features.loads.fem.mesh import Mesh, Units, read_mesh
+from mbd_ros.features.loads.fem.model import (
     COUPLINGS,
     Attachment,
+    Body,
+    Step,
     attachments_of,
+    check_material,
+    check_steps,
     check_tied,
+    step_of,
 )
-from mbd_ros.features.loads.fem.elements import mass_of
-from mbd_ros.features.loads.fem.mesh import Mesh, read_mesh
-from mbd_ros.features.loads.fem.model import Body, Step, check_material, check_steps, step_of
-from mbd_ros.features.loads.fem.units import Units
-from mbd_ros.features.loads.history import History
-from mbd_ros.features.loads.instants import Instant
+from mbd_ros.features.loads.history import History, Instant
 from mbd_ros.files.replacing import replacing
-from mbd_ros.jobs.lines import Say
+from mbd_ros.jobs.progress import Say
 
 _NOTHING: Mapping[str, str] = {}
 
@@ -128,12 +130,12 @@ def _lines(body: Body, steps: Sequence[Step], out: Path, amplitudes: bool, say: 
         from mbd_ros.features.loads.fem.calculix import lines_of
 
         return lines_of(body, steps)
-    from mbd_ros.features.loads.fem.centre_field import rotation_share
+    from mbd_ros.features.loads.fem.model import rotation_share
 
     share = rotation_share(body)
     say(f"left out of {out.name}: inertia by rotation, at most {share:.2g} of the largest load")
     if out.suffix == ".inp":
-        from mbd_ros.features.loads.fem.calculix_amplitudes import amplitude_lines
+        from mbd_ros.features.loads.fem.calculix import amplitude_lines
 
         return amplitude_lines(body)
     from mbd_ros.features.loads.fem.febio import feb_lines

@@ -11,14 +11,16 @@ import yaml
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError, SceneError
-from mbd_ros.features.markers.matching import markers_of
-from mbd_ros.features.markers.scale.scaled_sections import left_as_they_are, scaled_sections
-from mbd_ros.features.markers.scale.scaled_urdf import ScaledUrdf
-from mbd_ros.features.markers.scale_task import ScaleTask
+from mbd_ros.features.markers.marker_kinematics import markers_of
+from mbd_ros.features.markers.scale.scaled_scene import (
+    ScaledUrdf,
+    left_as_they_are,
+    scaled_sections,
+)
+from mbd_ros.features.markers.scale.task import ScaleTask
 from mbd_ros.files.replacing import replacing
-from mbd_ros.jobs.lines import Say
-from mbd_ros.motion.marker_recording import Capture, read_capture
-from mbd_ros.motion.recordings import Source
+from mbd_ros.jobs.progress import Say
+from mbd_ros.motion.recordings import Capture, Source, read_capture
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.schema.nearest import nearest

@@ -4,16 +4,14 @@ from pathlib import Path as File
 
 import numpy as np
 
-from mbd_ros.core.kinematics.free_bases import IndependentCoordinates
-from mbd_ros.core.paths.paths import Path
-from mbd_ros.core.paths.sampled_paths import PathBatch, PathSamples
+from mbd_ros.core.kinematics.paths.paths import Path, PathBatch, PathSamples
+from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
 from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Column, Result, Table
-from mbd_ros.files.times import time_columns
-from mbd_ros.jobs.error_source import about
-from mbd_ros.jobs.lines import Say
+from mbd_ros.files.table import MAIN, Column, Result, Table, time_columns
+from mbd_ros.jobs.arguments import about
+from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.columns import joint_columns
 from mbd_ros.motion.derivatives import Derivatives, differentiate
 from mbd_ros.motion.recordings import Source, name_of, read_motion

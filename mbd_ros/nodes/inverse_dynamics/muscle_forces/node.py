@@ -7,7 +7,7 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observation
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
 from mbd_ros.nodes.inverse_dynamics.muscle_forces.parameters import PARAMETERS
 from mbd_ros.nodes.inverse_dynamics.muscle_forces.pipeline import MusclePipeline
 from mbd_ros.nodes.inverse_dynamics.node import InverseDynamicsNode

@@ -1,6 +1,6 @@
 """A built scene with muscles between messages: from a joint state to forces of muscles."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from time import monotonic
 from typing import Any, NamedTuple
@@ -8,21 +8,76 @@ from typing import Any, NamedTuple
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
-from mbd_ros.core.inverse_dynamics.joint_loads import JointLoads
-from mbd_ros.core.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
-from mbd_ros.core.inverse_dynamics.torques import SampleSolver, Torques
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import MbdError, SolveError
 from mbd_ros.features.muscles.static_optimization import Shares, StaticOptimization
 from mbd_ros.features.muscles.task import muscles_task
-from mbd_ros.nodes.inverse_dynamics.muscle_forces.measured import MeasuredActivations
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
+from mbd_ros.methods.inverse_dynamics.reactions import JointLoads
+from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.nodes.inverse_dynamics.muscle_forces.parameters import options, tuning
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
-from mbd_ros.scene.describe.coordinate_names import coordinate_names
+from mbd_ros.scene.describe.scene_summary import coordinate_names
 from msg_adapters.diagnostics import OK
+from msg_adapters.errors import MessageError
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.wrench import write_wrench
+
+# ---- measured ---------------------------------------------------------------------------------
+# Activations that arrive on a topic, by the names of muscles.
+
+
+class MeasuredActivations:
+    """The newest activation of each muscle, as long as it stands.
+
+    Args:
+        names: Of the muscles.
+        max_age: How long a value stands [s].
+        clock: Steady time [s].
+    """
+
+    def __init__(self, names: Sequence[str], max_age: float, clock: Callable[[], float]) -> None:
+        self._at = {name: i for i, name in enumerate(names)}
+        self._max_age, self._clock = max_age, clock
+        self.clear()
+
+    def clear(self) -> None:
+        """Forget all."""
+        self._values = np.full(len(self._at), np.nan)
+        self._heard = np.full(len(self._at), -np.inf)
+
+    def take(self, msg: Any) -> None:
+        """Values of a Float64MultiArray whose layout labels are names of muscles.
+
+        Raises:
+            MessageError: Not one label a value, no label of a muscle, or a value outside 0 .. 1.
+        """
+        labels = [dimension.label for dimension in msg.layout.dim]
+        if len(labels) != len(msg.data):
+            raise MessageError(
+                f"{len(labels)} labels for {len(msg.data)} values; expected one each"
+            )
+        found = [(self._at[n], v) for n, v in zip(labels, msg.data, strict=True) if n in self._at]
+        if not found:
+            raise MessageError(f"no label is a muscle; muscles are {', '.join(self._at)}")
+        for i, value in found:
+            if not 0.0 <= value <= 1.0:
+                name = list(self._at)[i]
+                raise MessageError(f"activation of {name} is {value:.6g}, accepted: 0 .. 1")
+        now = self._clock()
+        for i, value in found:
+            self._values[i], self._heard[i] = value, now
+
+    def now(self) -> Array:
+        """Values that stand, NaN for the others, shape (n,)."""
+        fresh = self._clock() - self._heard <= self._max_age
+        return np.where(fresh, self._values, np.nan)
+
+
+# ---- pipeline ---------------------------------------------------------------------------------
+# A built scene with muscles between messages: from a joint state to forces of muscles.
+
 
 # Static optimisation as the solver of a stream of samples.
 

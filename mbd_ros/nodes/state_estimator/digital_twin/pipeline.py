@@ -8,15 +8,14 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.inverse_dynamics.sensed_reactions import FeltReactions
-from mbd_ros.core.model.joints import child_link
+from mbd_ros.core.model.robot import child_link
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import MbdError
-from mbd_ros.features.estimation.cusum import Cusum
 from mbd_ros.features.estimation.determination import Determination, Determinations
 from mbd_ros.features.estimation.estimation import Estimation, made_ready
-from mbd_ros.features.estimation.fault_naming import FaultNaming, Named
+from mbd_ros.features.estimation.faults import Cusum, FaultNaming, Named
 from mbd_ros.features.estimation.tracker import Taken
+from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline, refuse_unknown
 from mbd_ros.scene.built_scene import Scene

@@ -10,22 +10,26 @@ import pinocchio as pin
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.models.imported import Imported, LeftOut, Unexpressed
-from mbd_ros.scene.models.mjcf.actuators import add_rotors, read_actuators
-from mbd_ros.scene.models.mjcf.bodies import WORLD, Bodies
-from mbd_ros.scene.models.mjcf.defaults import Defaults
-from mbd_ros.scene.models.mjcf.equalities import read_closures, read_couplings
-from mbd_ros.scene.models.mjcf.inertia import body_inertia, geom_sizes, geom_type, mass_of
-from mbd_ros.scene.models.mjcf.item import Item
-from mbd_ros.scene.models.mjcf.joints import passive, unexpressed
-from mbd_ros.scene.models.mjcf.meshes import Meshes
-from mbd_ros.scene.models.mjcf.placement import Compiler, compiler_of, unit
+from mbd_ros.scene.models.imported import Imported, LeftOut, Unexpressed, parse_document, read_text
+from mbd_ros.scene.models.mjcf.actuators import (
+    add_rotors,
+    read_actuators,
+    read_closures,
+    read_couplings,
+)
+from mbd_ros.scene.models.mjcf.bodies import (
+    WORLD,
+    Bodies,
+    Meshes,
+    body_inertia,
+    geom_sizes,
+    geom_type,
+    mass_of,
+)
+from mbd_ros.scene.models.mjcf.item import Compiler, Defaults, Item, compiler_of, unit
+from mbd_ros.scene.models.mjcf.joints import Tree, passive, unexpressed
 from mbd_ros.scene.models.mjcf.reading import Reading
-from mbd_ros.scene.models.mjcf.tree import Tree
-from mbd_ros.scene.models.names import Names, plain
-from mbd_ros.scene.models.poses import xyz_rpy
-from mbd_ros.scene.models.urdf_text import Mass, urdf_text
-from mbd_ros.scene.models.xml_text import parse_document, read_text
+from mbd_ros.scene.models.urdf_text import Mass, Names, plain, urdf_text, xyz_rpy
 
 # Tendons of a model -> paths, and springs along them.
 

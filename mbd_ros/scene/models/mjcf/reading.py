@@ -6,13 +6,9 @@ from xml.etree.ElementTree import Element
 
 from mbd_ros.scene.models.imported import LeftOut, Unexpressed
 from mbd_ros.scene.models.mjcf.bodies import WORLD, Placed
-from mbd_ros.scene.models.mjcf.defaults import Defaults
-from mbd_ros.scene.models.mjcf.item import Item
-from mbd_ros.scene.models.mjcf.joints import Hinge
-from mbd_ros.scene.models.mjcf.placement import Compiler
-from mbd_ros.scene.models.mjcf.tree import Tree
-from mbd_ros.scene.models.names import Names
-from mbd_ros.scene.models.poses import xyz_rpy
+from mbd_ros.scene.models.mjcf.item import Compiler, Defaults, Item
+from mbd_ros.scene.models.mjcf.joints import Hinge, Tree
+from mbd_ros.scene.models.urdf_text import Names, xyz_rpy
 
 
 class Reading:

@@ -8,11 +8,10 @@ import pinocchio as pin
 
 from mbd_ros.core.state import Array
 from mbd_ros.scene.models.imported import Unexpressed
-from mbd_ros.scene.models.osim.couplers import COUPLER, is_enforced
-from mbd_ros.scene.models.osim.frames import Attached, old_placement
-from mbd_ros.scene.models.osim.item import Item
+from mbd_ros.scene.models.osim.item import Attached, Item, old_placement
+from mbd_ros.scene.models.osim.joints import COUPLER, is_enforced
 from mbd_ros.scene.models.osim.reading import Reading
-from mbd_ros.scene.models.poses import roll_pitch_yaw
+from mbd_ros.scene.models.urdf_text import roll_pitch_yaw
 
 Entry = dict[str, Any]
 

@@ -3,8 +3,8 @@
 from collections.abc import Callable, Mapping
 
 from mbd_ros.errors import MbdError
-from mbd_ros.scene.models.functions import IDENTITY, Function, constant, linear, sine
 from mbd_ros.scene.models.osim.item import Item
+from mbd_ros.scene.models.urdf_text import IDENTITY, Function, constant, linear, sine
 
 
 class UnknownFunction(MbdError):

@@ -9,23 +9,31 @@ from xml.etree import ElementTree
 import pinocchio as pin
 
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.models.imported import Imported, Unexpressed
-from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.imported import Imported, Unexpressed, parse_document
 from mbd_ros.scene.models.osim.constraints import placed, read_constraints
-from mbd_ros.scene.models.osim.contacts import CONTACTS, contact_entries
-from mbd_ros.scene.models.osim.couplers import Coupled, entry_of, read_couplers
-from mbd_ros.scene.models.osim.forces import force_entry
-from mbd_ros.scene.models.osim.frames import GROUND, Attached, Frames, bodies_of, six_digits
+from mbd_ros.scene.models.osim.forces import (
+    CONTACTS,
+    contact_entries,
+    force_entry,
+    is_muscle,
+    muscle_entry,
+    read_path,
+)
 from mbd_ros.scene.models.osim.functions import UnknownFunction, function_in
-from mbd_ros.scene.models.osim.item import Item
-from mbd_ros.scene.models.osim.joints import read_joints
-from mbd_ros.scene.models.osim.mechanism import Mechanism, in_tree_order, turned_round
-from mbd_ros.scene.models.osim.motions import Coordinate, Joint
-from mbd_ros.scene.models.osim.muscles import is_muscle, muscle_entry
-from mbd_ros.scene.models.osim.paths import read_path
+from mbd_ros.scene.models.osim.item import GROUND, Attached, Frames, Item, bodies_of, six_digits
+from mbd_ros.scene.models.osim.joints import (
+    Coordinate,
+    Coupled,
+    Joint,
+    Mechanism,
+    entry_of,
+    in_tree_order,
+    read_couplers,
+    read_joints,
+    turned_round,
+)
 from mbd_ros.scene.models.osim.reading import FORCES, Reading
-from mbd_ros.scene.models.urdf_text import Mass, urdf_text
-from mbd_ros.scene.models.xml_text import parse_document
+from mbd_ros.scene.models.urdf_text import Mass, Names, urdf_text
 
 # Joints that close loops: a body is cut in two halves that a constraint holds together.
 

@@ -1,0 +1,141 @@
+"""Forward dynamics of an open chain: M(q) a + h(q, v) = tau."""
+
+from functools import partial
+
+import eigenpy
+import numpy as np
+import pinocchio as pin
+
+from mbd_ros.core.dynamics.chart import Chart
+from mbd_ros.core.dynamics.mechanism import Mechanism
+from mbd_ros.core.dynamics.system import Accelerator, writing
+from mbd_ros.core.state import NONE, Array, State
+
+# ---- all joints -------------------------------------------------------------------------------
+# All joints as coordinates: y is x.
+
+
+class AllJoints:
+    """Coordinates of tiers that integrate every joint.
+
+    Args:
+        mechanism: The mechanism.
+
+    Attributes:
+        chart: Of the configuration.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self._mechanism, self.chart = mechanism, Chart(mechanism.model)
+        self.mass = mechanism.mass
+
+    def expand(self, y: State) -> State:
+        """The same state."""
+        return y
+
+    def reduce(self, x: State) -> State:
+        """The same state."""
+        return x
+
+    def lift(self, y: State, a: Array) -> Array:
+        """The same accelerations, fresh."""
+        return np.array(a)
+
+    def integrated(self, a: Array) -> Array:
+        """The same values."""
+        return a
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Generalized force tau - h, shape (nv,)."""
+        mechanism = self._mechanism
+        mechanism.evaluations += 1
+        return mechanism.tau(t, q, v, u) - mechanism.bias(q, v)
+
+
+# ---- aba --------------------------------------------------------------------------------------
+# Forward dynamics of an open chain: M(q) a + h(q, v) = tau.
+
+
+class Aba:
+    """Acceleration from state and inputs by the articulated-body algorithm.
+
+    Args:
+        mechanism: What moves.
+
+    Attributes:
+        mechanism: As given.
+        coordinates: All joints.
+    """
+
+    tier = "aba"
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self.mechanism, self.coordinates = mechanism, AllJoints(mechanism)
+        self._aba = partial(pin.aba, mechanism.model, mechanism.data)
+
+    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
+        """Accelerations of all joints, shape (nv,); the next call overwrites them."""
+        mechanism = self.mechanism
+        mechanism.evaluations += 1
+        return self._aba(q, v, mechanism.tau(t, q, v, u))
+
+    def accelerator(self) -> Accelerator:
+        """The function that writes what `accelerate` returns."""
+        mechanism, aba, zero = self.mechanism, self._aba, self.mechanism.zero
+        if not mechanism.loads.is_empty:
+            return writing(self.accelerate)
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            mechanism.evaluations += 1
+            out[...] = aba(q, v, zero)
+
+        return accelerate
+
+    def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
+        """The same q, v and a."""
+        return q, v, a
+
+    def respond(self, q: Array, forces: Array) -> Array:
+        """M^-1 forces, shape as `forces`."""
+        return eigenpy.LLT(self.mechanism.mass(q)).solve(forces).reshape(forces.shape)
+
+    def solution(
+        self, y: State, u: Array | None, a: Array, force: Array | None
+    ) -> tuple[Array, Array]:
+        """Accelerations of all joints, and no multipliers."""
+        return np.array(a), NONE
+
+
+# ---- dense ------------------------------------------------------------------------------------
+# Forward dynamics of an open chain with inertia that loads add: (M + M_f) a + h = tau.
+
+
+class Dense(Aba):
+    """Acceleration from state and inputs by a factorised mass matrix.
+
+    Args:
+        mechanism: What moves.
+
+    Attributes:
+        mechanism: As given.
+        coordinates: All joints.
+    """
+
+    tier = "dense"
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        super().__init__(mechanism)
+        self._factor = eigenpy.LLT(int(mechanism.model.nv))
+
+    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
+        """Accelerations of all joints, shape (nv,)."""
+        mechanism = self.mechanism
+        mechanism.evaluations += 1
+        tau = mechanism.tau(t, q, v, u) - mechanism.bias(q, v)
+        self._factor.compute(mechanism.mass(q))
+        a: Array = self._factor.solve(tau)
+        return a
+
+    def accelerator(self) -> Accelerator:
+        """The function that writes what `accelerate` returns."""
+        return writing(self.accelerate)

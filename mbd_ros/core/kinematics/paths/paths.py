@@ -1,0 +1,258 @@
+"""Paths: lengths along which something pulls, and what a tension does to joints and bodies.
+
+With the length l(q) and its Jacobian J = dl/dq, a tension F exerts tau = -J' F on the joints, so
+that F l' is the power that it takes from them. -J is what biomechanics calls the moment arm.
+A path knows no material: springs, cables, drives and muscles are functions of l, l' and inputs.
+
+Source: M. A. Sherman, A. Seth, S. L. Delp, What is a moment arm? Calculating muscle effectiveness
+in biomechanical models using generalized coordinates, ASME IDETC 2013, DETC2013-13633.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.sampled_kinematics import SampledKinematics, carriers
+from mbd_ros.core.model.couplings import CouplingFunction, Couplings
+from mbd_ros.core.model.robot import Joint, Robot
+from mbd_ros.core.state import Array, State
+
+if TYPE_CHECKING:
+    from mbd_ros.core.kinematics.paths.point_path import ViaPoint
+    from mbd_ros.core.kinematics.paths.wrapped_path import Reach, Wrap
+
+
+# ---- paths ------------------------------------------------------------------------------------
+# Paths: lengths along which something pulls, and what a tension does to joints and bodies.
+
+
+class Pull(NamedTuple):
+    """What a tension of 1 N exerts on a body.
+
+    Attributes:
+        frame: The link.
+        point: Where it acts, in the world less `Robot.origin` [m], shape (3,).
+        force: In world axes [N per N], shape (3,).
+    """
+
+    frame: str
+    point: Array
+    force: Array
+
+
+class Path:
+    """A length that depends on the configuration.
+
+    Attributes:
+        name: Unique in the scene; empty for a path that stands in the entry of a part.
+        over: What it goes over, for people.
+        wraps: Surfaces that it may go over.
+        reaches: First and last point of each of them.
+        reads: What its methods but `drift` read of k at most; `drift` reads `Reads.DRIFT`.
+    """
+
+    name: str = ""
+    over: str = ""
+    reads: Reads = Reads.NOTHING
+    wraps: "Sequence[Wrap]" = ()
+    reaches: "Sequence[Reach]" = ()
+
+    def length(self, k: Kinematics, x: State) -> float:
+        """The l [m]; reads positions at most."""
+        raise NotImplementedError
+
+    def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
+        """The l [m] and J = dl/dq, shape (nv,)."""
+        raise NotImplementedError
+
+    def drift(self, k: Kinematics, x: State) -> float:
+        """J' v: the l'' at zero joint acceleration [m/s^2]."""
+        raise NotImplementedError
+
+    def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
+        """What a tension of 1 N exerts on bodies; what it exerts in joints is left out."""
+        return ()
+
+    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
+        """Where it runs: corners of lines, in the world less `Robot.origin` [m], shape (n, 3)."""
+        return ()
+
+    def corners(self) -> "Sequence[ViaPoint]":
+        """All points of its lines, there or not; none where it has more than these and `wraps`."""
+        return ()
+
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and J of n samples, shapes (n,) and (n, nv)."""
+        raise NotImplementedError
+
+
+class JointPath(Path):
+    """A sum of functions of joint positions: l = sum f_i(q_i), as of tendons over pulleys.
+
+    The tension acts between parent and child of each joint.
+
+    Args:
+        robot: The robot.
+        terms: Joint -> its f, with f' and f'' [m, m per rad or m, ..].
+
+    Raises:
+        ModelError: Unknown joint.
+    """
+
+    def __init__(self, robot: Robot, terms: Mapping[str, CouplingFunction]) -> None:
+        self._terms: list[tuple[Joint, CouplingFunction]] = [
+            (robot.joint(name), function) for name, function in terms.items()
+        ]
+        self.over = ", ".join(joint.name for joint, _ in self._terms)
+        self._nv = int(robot.model.nv)
+
+    def length(self, k: Kinematics, x: State) -> float:
+        """The l [m]."""
+        return sum(function(k.item(x.q, joint.q))[0] for joint, function in self._terms)
+
+    def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
+        """The l [m] and its slopes f_i', shape (nv,)."""
+        length, slope = 0.0, k.zeros(self._nv)
+        for joint, function in self._terms:
+            value, slope[joint.v], _ = function(k.item(x.q, joint.q))
+            length += value
+        return length, slope
+
+    def drift(self, k: Kinematics, x: State) -> float:
+        """The sum of f_i'' v_i^2 [m/s^2]."""
+        bent = 0.0
+        for joint, function in self._terms:
+            rate = k.item(x.v, joint.v)
+            bent += function(k.item(x.q, joint.q))[2] * rate * rate
+        return bent
+
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and its slopes of n samples."""
+        lengths, slopes = np.zeros(len(k.q)), np.zeros((len(k.q), self._nv))
+        for joint, function in self._terms:
+            value, slopes[:, joint.v], _ = function(k.q[:, joint.q])
+            lengths += value
+        return lengths, slopes
+
+
+class JoinedPaths(Path):
+    """Paths one behind the other under the same tension: l is their sum.
+
+    Args:
+        paths: At least one.
+    """
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        self._paths = tuple(paths)
+        self.over = "; ".join(path.over for path in paths)
+        self.reads = max(path.reads for path in paths)
+
+    def length(self, k: Kinematics, x: State) -> float:
+        """The l [m]."""
+        return sum(path.length(k, x) for path in self._paths)
+
+    def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
+        """The l [m] and J, shape (nv,)."""
+        length, slope = self._paths[0].measured(k, x)
+        for path in self._paths[1:]:
+            more, slopes = path.measured(k, x)
+            length, slope = length + more, slope + slopes
+        return length, slope
+
+    def drift(self, k: Kinematics, x: State) -> float:
+        """J' v [m/s^2]."""
+        return sum(path.drift(k, x) for path in self._paths)
+
+    def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
+        """What a tension of 1 N exerts on bodies."""
+        return tuple(pull for path in self._paths for pull in path.pulls(k, x))
+
+    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
+        """Corners of all lines."""
+        return tuple(line for path in self._paths for line in path.lines(k, x))
+
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and J of n samples."""
+        lengths, slopes = zip(*(path.sampled(k) for path in self._paths), strict=True)
+        return np.sum(lengths, axis=0), np.sum(slopes, axis=0)
+
+
+# ---- sampled paths ----------------------------------------------------------------------------
+# Lengths, speeds and moment arms of all paths over many samples.
+
+
+class PathSamples(NamedTuple):
+    """What paths do in n samples.
+
+    Attributes:
+        lengths: [m], shape (n, paths).
+        speeds: [m/s], shape (n, paths).
+        arms: Moment arms -dl/dy by independent coordinate, dependent joints moving along
+            [m or -], shape (n, paths, nv_y).
+    """
+
+    lengths: Array
+    speeds: Array
+    arms: Array
+
+
+class PathBatch:
+    """All paths of a scene, evaluated for all samples at once.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints.
+        paths: By name.
+        search: As for `SampledKinematics`; numpy's own by default.
+
+    Attributes:
+        names: Of the paths, in the order of the results.
+    """
+
+    def __init__(
+        self, robot: Robot, couplings: Couplings, paths: Mapping[str, Path], search: Any = None
+    ) -> None:
+        self._search = search
+        self._robot, self._couplings = robot, couplings
+        self.names, self._paths = tuple(paths), tuple(paths.values())
+        self._joints = carriers(robot)
+
+    @property
+    def width(self) -> int:
+        """Number of independent velocities: columns of moment arms."""
+        return len(self._couplings.v_index)
+
+    def evaluate(self, y: Array, w: Array | None = None) -> PathSamples:
+        """Lengths, speeds and moment arms.
+
+        Args:
+            y: Independent coordinates, shape (n, ny).
+            w: Independent velocities, shape (n, nv_y); 0 where None.
+
+        Raises:
+            SolveError: A geodesic is not found.
+        """
+        q, slopes = self._expanded(y)
+        k, n = SampledKinematics(self._robot, q, self._joints, self._search), len(y)
+        lengths, arms = np.empty((n, len(self._paths))), []
+        for i, path in enumerate(self._paths):
+            lengths[:, i], slope = path.sampled(k)
+            reduced, _ = self._couplings.reduce(np.array(slope.T, order="C"), slopes)
+            arms.append(-reduced.T)
+        by_path = (
+            np.stack(arms, axis=1) if arms else np.zeros((n, 0, len(self._couplings.v_index)))
+        )
+        speeds = np.zeros(lengths.shape)
+        if w is not None:
+            speeds = -(by_path @ w[:, :, None])[..., 0]
+        return PathSamples(lengths, speeds, by_path)
+
+    def _expanded(self, y: Array) -> tuple[Array, list[Array]]:
+        """All coordinates, shape (n, nq), and the slopes of couplings."""
+        model, n = self._robot.model, len(y)
+        q, still = np.empty((model.nq, n)), np.zeros((model.nv, n))
+        q[self._couplings.q_index] = y.T
+        slopes = self._couplings.expand(q, still, still.copy())
+        return np.array(q.T, order="C"), slopes

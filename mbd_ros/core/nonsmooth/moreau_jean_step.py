@@ -1,0 +1,392 @@
+"""The step of Moreau and Jean: velocities jump, and impacts, stick and gaps hold at its end.
+
+    M (v+ - v) = h f + J' p,   q+ = q (+) h ((1 - theta) v + theta v+)
+
+All rows are in one complementarity problem, with their rates at the end of the step: bilateral
+rows hold, one-sided rows that would close push, and bounded forces act with h times their bounds
+at most. Where rows close faster than the forces of one step make them, an impact divides the step
+where the first of them closes. What is beyond a one-sided row nevertheless is moved out of it, in
+the mass metric. A slip that ends so early in a step that friction would do work along the way
+divides the step, too, and so does a body that turns far beside a contact.
+
+Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, Comput. Methods
+Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import chain
+
+import numpy as np
+
+from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism, RigidRows
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.world_axes import FreeBodies
+from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
+from mbd_ros.core.nonsmooth.implicit_loads import ImplicitLoads, mass_with
+from mbd_ros.core.nonsmooth.unilateral_rows import (
+    GivingWay,
+    MovesOut,
+    Slots,
+    StepProblem,
+    StepRows,
+    Which,
+    first_closing,
+)
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock
+from mbd_ros.core.rows.delassus import RowFactor
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import DivergedError
+
+# ---- time step --------------------------------------------------------------------------------
+# A step in which velocities jump: impacts, stick and gaps hold at its end.
+
+
+# The linear problems of steps in which velocities jump.
+#
+# M and f are those of an intermediate state, at the time theta h with (1 - theta) v + theta v+. One
+# step of Newton's method and a correction solve for v+, with the matrix
+#
+#     K = M - theta h f_v - theta^2 h^2 f_q
+#
+# of the loads, so that stiff ones do not limit h. All rows are in one complementarity problem, with
+# their rates at the end of the step.
+
+# Rows that give way in steps of velocities, what solves for them, and how rows come back.
+
+
+def rows_of_step(
+    system: System, mechanism: Mechanism, rows: ConstraintRows, theta: float
+) -> tuple[StepRows, GivingWay]:
+    """The rows that give way in steps, and what solves for them."""
+    if not rows.cones:
+        return StepRows(mechanism, rows), GivingWay(rows)
+    from mbd_ros.core.nonsmooth.contact_step import ContactsInStep, NearContacts
+
+    is_whole = system.nv == system.model.nv
+    return NearContacts(mechanism, rows, is_whole), ContactsInStep(rows, theta)
+
+
+def returns(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:
+    """Rates [1/s] with which rows come back to 0, kp / kd, one a row; 0 without gains."""
+    found = [np.zeros(0)]
+    for block in blocks:
+        kp, kd = (np.broadcast_to(gain, len(block.rows)) for gain in gains or block.gains)
+        found.append(np.divide(kp, kd, out=np.zeros(len(kp)), where=kd > 0.0))
+    return np.concatenate(found)
+
+
+class StepProblems:
+    """Problems of the steps of one system; has a `Data` of its own.
+
+    Args:
+        system: The system, under any tier.
+        theta: From 1/2, of second order where motion is smooth, to 1, which damps most.
+
+    Attributes:
+        giving_way: What solves for rows that give way.
+    """
+
+    def __init__(self, system: System, theta: float) -> None:
+        nv, layout = int(system.model.nv), system.layout
+        self._system, self._theta = system, theta
+        self._mechanism = mechanism = Mechanism(system.robot, system.loads)
+        self._loads = ImplicitLoads(mechanism, system.internals)
+        gains = system.constraints.gains
+        self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
+        self._yielding = ConstraintRows(layout.yielding, nv)
+        self._rows, self.giving_way = rows_of_step(system, mechanism, self._yielding, theta)
+        self._return = returns(layout.rigid, gains), returns(layout.yielding)
+        self._nothing = np.zeros((0, nv)), np.zeros(0)
+
+    def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
+        """The linear problem of a step from a state of what is integrated."""
+        mechanism, late = self._mechanism, (1.0 - self._theta) * h
+        x = self._on_the_way(y, h)
+        M = np.array(mechanism.mass(x.q))
+        slopes, dz = self._loads.slopes(x, u, self._theta * h), h * self._loads.rates(x, u)
+        impulse = h * self._force(x, u, M) + slopes.push.dot(dz)
+        if not np.isfinite(slopes.added).all() or not np.isfinite(impulse).all():
+            raise DivergedError(f"forces at t = {x.t:.9g} s are not finite")
+        K = mass_with(M, slopes.added) if slopes.added.any() else M
+        hold, goal, factor = self._bilateral(x, K, late, h)
+        held = ImpulseResponse(K, None, hold, factor)
+        free, _ = held.kept(x.v + held.free(impulse), goal)
+        acting, J, drift, gap, own = self._rows.at(x, free, h)
+        drift = self._drift(x, J, drift)
+        still = slopes.gain.dot(dz) - slopes.by_v.dot(x.v)
+        known = goal, free, h, self._theta, slopes, still
+        if not len(gap):
+            return StepProblem(x, M, held, acting, J, gap, own, own, own, *known)
+        with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
+            back = np.minimum(self._return[1][acting.at], 1.0 / h)
+            back = np.where(acting.pushes, 0.0, back * gap)
+        early = self._theta * h  # from the start to the state where J and drift are known
+        rate = J.dot(x.v) + own - early * drift
+        gap = gap - early * (rate + 0.5 * early * drift)
+        bend, response = late * drift, self._rows.response(held, K, J)
+        end = own + bend + back
+        return StepProblem(x, M, response, acting, J, gap, rate, end, bend, *known)
+
+    def _bilateral(
+        self, x: State, K: Array, late: float, h: float
+    ) -> tuple[Array, Array, RowFactor | None]:
+        """Bilateral rows, their J v at the end of a step, and their factor in the metric of K."""
+        k, rows = self._mechanism.k, self._rigid.constraints
+        if not self._rigid.rows:
+            return *self._nothing, None
+        k.refresh(x.q, x.v, rows.reads)
+        J, drift = (each.copy() for each in rows.accelerations(k, x))
+        back = np.minimum(self._return[0], 1.0 / h)
+        drift = self._drift(x, J, drift)
+        goal = -(rows.rate(k, x) + late * drift + back * rows.residual(k, x))
+        return J, goal, RowFactor(K, J)
+
+    def _corrected(
+        self, problem: StepProblem, y: State, u: Array | None, end: Array
+    ) -> StepProblem:
+        """The problem with forces and rates on the way to a velocity at its end."""
+        v, h, slopes, loads = problem.x.v, problem.h, problem.slopes, self._loads
+        mean, dz = (1.0 - self._theta) * v + self._theta * end, problem.dz(end)
+        x = self._between(y, self._system.integrated(mean), y.z + self._theta * dz, h)
+        left_z = h * loads.rates(x, u) - dz
+        left = h * self._force(x, u, problem.M) - problem.M.dot(end - v) + slopes.push.dot(left_z)
+        response = problem.response
+        free, _ = response.kept(end + response.free(left), problem.goal)
+        still = dz + slopes.gain.dot(left_z) - slopes.by_v.dot(end)
+        return problem._replace(free=free, dz_still=still)
+
+    def _on_the_way(self, y: State, h: float) -> State:
+        """State of all joints at the intermediate time, with the velocity of y."""
+        return self._between(y, y.v, y.z, h)
+
+    def _between(self, y: State, v: Array, z: Array, h: float) -> State:
+        """State of all joints at the intermediate time, of a step with that mean velocity of y."""
+        share = self._theta * h
+        q = self._system.chart.integrate(y.q, share * v)
+        return self._system.expand(State(y.t + share, q, v, z))
+
+    def _force(self, x: State, u: Array | None, M: Array) -> Array:
+        """Generalized force of all joints that changes velocities as a step counts them."""
+        return self._loads.force(x, u)
+
+    def _drift(self, x: State, J: Array, drift: Array) -> Array:
+        """The part of g'' without the change of velocities as a step counts them."""
+        return drift
+
+
+_IMPACTS = 4  # of one step, which give back; what met rests at once in those after them
+_TURNS = 3  # of slips in one step
+_TURN = 0.5  # rad, on which rows of a contact change by little
+_PARTS = 100  # of a step at most
+_SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which a slip that ends early is looked at
+_WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
+_TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close at one time
+_MOVES = 4  # out of rows; each leaves the square of what the last one left
+
+
+class VelocityStep(StepProblems):
+    """Steps of one system; has a `Data` of its own.
+
+    Args:
+        system: The system, under any tier.
+        theta: From 1/2, of second order where motion is smooth, to 1, which damps most.
+
+    Attributes:
+        giving_way: What solves for rows that give way.
+    """
+
+    def __init__(self, system: System, theta: float) -> None:
+        super().__init__(system, theta)
+        self._level, self._slots = VelocityLevel(system), self._yielding.slots
+        self._moves_out = MovesOut(self._mechanism, self._rigid, self._rows)
+
+    def step(self, y: State, u: Array | None, h: float, t: float) -> State:
+        """The state of what is integrated at a time t, after a step of length h [s].
+
+        Args:
+            y: State at the start.
+            u: Inputs; None for safe ones.
+            h: Length [s].
+            t: Time at the end [s].
+
+        Raises:
+            SolveError: Rows contradict one another.
+            DivergedError: Forces are not finite.
+        """
+        self._rows.begin(y.q)
+        begun = self._begun(y, u, h)
+        parts = self._parts(begun[0])
+        if parts == 1:
+            return self._stepped(begun, y, u, t, _TURNS)
+        part = h / parts
+        for left in reversed(range(parts)):
+            y = self._stepped(self._begun(y, u, part), y, u, t - left * part, _TURNS)
+        return y
+
+    def _parts(self, problem: StepProblem) -> int:
+        """Into how many parts a step is divided, so that no body turns far beside a contact."""
+        if not problem.acting.cones:
+            return 1
+        turn = problem.h * max(self._rows.turning(v) for v in (problem.x.v, problem.free))
+        return max(1, math.ceil(min(turn / _TURN, _PARTS)))
+
+    def _stepped(
+        self, begun: tuple[StepProblem, Which], y: State, u: Array | None, t: float, turns: int
+    ) -> State:
+        """The state after a part of a step, which slips that end may divide so many times more."""
+        problem, closed = begun
+        h = problem.h
+        met: list[list[int]] = []
+        while (hits := problem.hits(closed)).any() and len(met) < _IMPACTS + len(self._slots):
+            y, h = self._after_impact(problem, closed, hits, y, met)
+            problem, closed = self._begun(y, u, h)
+        problem, end = self._solved(problem, closed, y, u)
+        turned = self.giving_way.turned(problem, end) if turns else None
+        if turned is not None:
+            if part := self._until(turned, y, u, h):
+                y = self._ended(y, *self._solved(*self._begun(y, u, part), y, u), t - h + part)
+                return self._stepped(self._begun(y, u, h - part), y, u, t, turns - 1)
+            self.giving_way.accept()
+        return self._outside(self._ended(y, problem, end, t))
+
+    def _begun(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
+        """The problem of a step without impacts, and its rows that would be closed."""
+        problem = self._problem(y, u, h)
+        return problem, problem.closed()
+
+    def _solved(
+        self, problem: StepProblem, closed: Which, y: State, u: Array | None
+    ) -> tuple[StepProblem, Array]:
+        """The problem with forces on the way to its end, and the velocity there."""
+        end = self.giving_way.end(problem, closed, problem.free)
+        problem = self._corrected(problem, y, u, end)
+        return problem, self.giving_way.end(problem, closed, problem.free, end)
+
+    def _ended(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
+        way = problem.h * ((1.0 - self._theta) * problem.x.v + self._theta * end)
+        dz = problem.dz(end)
+        back = self.giving_way.given_back(problem, end)
+        if back is not None:
+            energy, ways = self._system.energy, (way, way - back)
+            way = min(ways, key=lambda w: energy(self._moved(y, w, end, dz, t)))
+        return self._moved(y, way, end, dz, t)
+
+    def _until(self, turned: Slots, y: State, u: Array | None, h: float) -> float:
+        """When the first of some slips ends within a step [s]; 0 where none is seen to."""
+        for share in _SHARES:
+            problem, end = self._solved(*self._begun(y, u, share * h), y, u)
+            part = self.giving_way.ending(turned, problem, end)
+            if part:
+                return part if part < _WHOLE * h else 0.0
+        return 0.0
+
+    def _after_impact(
+        self, problem: StepProblem, closed: Which, hits: Which, y: State, met: list[list[int]]
+    ) -> tuple[State, float]:
+        """State after the next impact of a step, and what is left of it [s]; adds to what met."""
+        v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
+        end = self.giving_way.pushed(problem, closed & ~hits, problem.free)
+        gained = (end - v) / h
+        bent = problem.J.dot(gained)
+        wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)
+        at = gap + wait * rate + 0.5 * wait**2 * bent
+        touching = closed & (at <= _TOGETHER * h * np.abs(rate[hits]).max())
+        met.append(self._slots[problem.acting.at[touching[problem.acting.decides]]].tolist())
+        expands = len(met) <= _IMPACTS
+        slots = met[-1] if expands else list(chain(*met))
+        before = v + wait * gained
+        way, dz = 0.5 * wait * (v + before), wait / h * problem.dz(end)
+        y = self._moved(y, way, before, dz, y.t + wait)
+        v = self._level.impact(self._system.expand(y), slots, expands=expands).v
+        return y._replace(v=np.array(self._system.integrated(v))), h - wait
+
+    def _outside(self, y: State) -> State:
+        """The state with no one-sided row beyond 0, moved the least in the mass metric."""
+        if not self._rows.are_one_sided:
+            return y
+        for _ in range(_MOVES):
+            x = self._system.expand(y)
+            way = self._moves_out.way(x)
+            if way is None:
+                break
+            y = self._moved(y, way, x.v, 0.0 * y.z, y.t)
+        return y
+
+    def _moved(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
+        """A state of what is integrated, after a way and with a velocity of all joints."""
+        system = self._system
+        q = system.chart.integrate(y.q, system.integrated(way))
+        z = system.internals.inside(y.z + dz)
+        self._rows.moved(q, way)
+        return State(t, q, np.array(system.integrated(v)), z, y.mode)
+
+
+# ---- free body step ---------------------------------------------------------------------------
+# Steps of velocities with free bodies, whose axes turn within a step.
+#
+# A velocity v of a free body stands in its own axes, so that it changes where the body turns:
+# v' = R' a - w x v. A step that counts this as a change of the motion errs by (w h)^2 of the
+# velocity of a ball that spins. Here the linear velocities of a step stand in the axes of its
+# intermediate state, where free bodies keep them.
+
+
+class FreeBodyStep(VelocityStep):
+    """Steps of one system with free bodies; has a `Data` of its own.
+
+    Args:
+        system: The system, under any tier.
+        theta: As for all systems.
+    """
+
+    def __init__(self, system: System, theta: float) -> None:
+        super().__init__(system, theta)
+        self._bodies, self._integrated = FreeBodies(system.model), FreeBodies(system.chart.model)
+        self._q = system.robot.neutral()
+        self._axes = self._bodies.axes(self._q)
+
+    def _on_the_way(self, y: State, h: float) -> State:
+        """State of all joints at the intermediate time, with the velocity of y."""
+        before = self._axes = self._integrated.axes(y.q)
+        x = self._between(y, y.v, y.z, h)
+        self._axes, self._q = self._bodies.axes(x.q), x.q
+        return x._replace(v=self._bodies.turned(x.v, before, self._axes))
+
+    def _between(self, y: State, v: Array, z: Array, h: float) -> State:
+        """State of all joints at the intermediate time, of a step with that mean velocity of y."""
+        share, system = self._theta * h, self._system
+        q = self._integrated.moved(system.chart, y.q, share * v, self._axes)
+        return system.expand(State(y.t + share, q, v, z))
+
+    def _force(self, x: State, u: Array | None, M: Array) -> Array:
+        """Generalized force of all joints that changes velocities as a step counts them."""
+        bodies, axes = self._bodies, self._axes
+        turning: Array = M.dot(bodies.turning(x.v))
+        if x.q is self._q:
+            return super()._force(x, u, M) + turning
+        own = bodies.axes(x.q)
+        force = super()._force(x._replace(v=bodies.turned(x.v, axes, own)), u, M)
+        return bodies.turned(force, own, axes) + turning
+
+    def _drift(self, x: State, J: Array, drift: Array) -> Array:
+        """The part of g'' without the change of velocities as a step counts them."""
+        left: Array = drift - J.dot(self._bodies.turning(x.v))
+        return left
+
+    def _moved(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
+        """A state of what is integrated, after a way and with a velocity of all joints."""
+        system, bodies = self._system, self._integrated
+        q = bodies.moved(system.chart, y.q, system.integrated(way), self._axes)
+        self._rows.moved(q, way)
+        v = bodies.turned(system.integrated(v), self._axes, bodies.axes(q))
+        return State(t, q, v, system.internals.inside(y.z + dz), y.mode)
+
+    def _ended(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
+        """The state at the end of a step; other steps may have been tried since its problem."""
+        self._axes = self._bodies.axes(problem.x.q)
+        return super()._ended(y, problem, end, t)
+
+    def _outside(self, y: State) -> State:
+        """The state with no one-sided row beyond 0, moved the least in the mass metric."""
+        self._axes = self._integrated.axes(y.q)
+        return super()._outside(y)

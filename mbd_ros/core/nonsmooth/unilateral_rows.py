@@ -1,0 +1,410 @@
+"""Rows between bounds in a step of velocities: stops, dry friction, limited drives."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.complementarity.bounded_rows import BoundedImpulses, PushImpulses
+from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism, RigidRows
+from mbd_ros.core.kinematics.kinematics import Reads
+from mbd_ros.core.nonsmooth.implicit_loads import Slopes
+from mbd_ros.core.rows.constraint import Kind
+from mbd_ros.core.rows.constraint_rows import Cone, ConstraintRows
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import HELD_BY_ROWS, LANDED
+
+# ---- unilateral rows --------------------------------------------------------------------------
+# Rows that give way, as far as they may act in a step.
+
+
+Which = NDArray[np.bool_]
+Slots = NDArray[np.intp]
+
+
+class Acting(NamedTuple):
+    """Rows that may act in a step.
+
+    Attributes:
+        at: Where they stand among all rows that give way, shape (m,).
+        names: One a row.
+        pushes: Which are one-sided, normals of contacts among them, shape (m,).
+        decides: Which row says whether it acts: of a contact its normal, else itself.
+        cones: The contacts, their slots counted here.
+        tangents: Their rows along tangents, shape (2 n,).
+    """
+
+    at: NDArray[np.intp]
+    names: list[str]
+    pushes: Which
+    decides: NDArray[np.intp]
+    cones: tuple[Cone, ...]
+    tangents: NDArray[np.intp]
+
+    def chosen(self, on: NDArray[np.intp]) -> "Acting":
+        """Some of them; of a contact all rows or none.
+
+        Args:
+            on: Their places here, in the order that is wanted.
+        """
+        own = np.full(len(self.at), -1, dtype=np.intp)
+        own[on] = np.arange(len(on))
+        starts = [(cone, int(own[cone.slots.start])) for cone in self.cones]
+        cones = (c._replace(slots=slice(start, start + 3)) for c, start in starts if start >= 0)
+        names = [self.names[i] for i in on.tolist()]
+        return _acting(self.at[on], names, self.pushes[on], tuple(cones))
+
+
+class RowsAt(NamedTuple):
+    """Rows at one state.
+
+    Attributes:
+        acting: Which they are.
+        J: Their Jacobian, shape (m, nv).
+        drift: Their J' v, shape (m,).
+        gap: Their g, shape (m,).
+        own: Their g' without J v, shape (m,).
+    """
+
+    acting: Acting
+    J: Array
+    drift: Array
+    gap: Array
+    own: Array
+
+
+def every(rows: ConstraintRows) -> Acting:
+    """All rows that give way."""
+    pushes = np.zeros(len(rows.rows), dtype=np.bool_)
+    for block, mine in zip(rows.blocks, rows.slices, strict=True):
+        pushes[mine] = block.law.kind is Kind.UNILATERAL
+    for cone in rows.cones:
+        pushes[cone.slots.start] = True
+    return _acting(np.arange(len(pushes)), [row.name for row in rows.rows], pushes, rows.cones)
+
+
+def _acting(
+    at: NDArray[np.intp], names: list[str], pushes: Which, cones: tuple[Cone, ...]
+) -> Acting:
+    decides = np.arange(len(at))
+    for cone in cones:
+        decides[cone.slots] = cone.slots.start
+    tangents = np.flatnonzero(decides != np.arange(len(at)))
+    return Acting(at, names, pushes, decides, cones, tangents)
+
+
+class StepRows:
+    """All rows that give way, in every step.
+
+    Args:
+        mechanism: The mechanism.
+        rows: The rows.
+
+    Attributes:
+        rows: As given.
+        every: All of them.
+        are_one_sided: Whether any row only pushes.
+    """
+
+    def __init__(self, mechanism: Mechanism, rows: ConstraintRows) -> None:
+        self._k, self.rows, self.every = mechanism.k, rows, every(rows)
+        self.are_one_sided = bool(self.every.pushes.any())
+        self._of_g, self._of_J = (
+            min(rows.reads, reads) for reads in (Reads.POSITION, Reads.JACOBIAN)
+        )
+
+    def turning(self, v: Array) -> float:
+        """How fast bodies beside contacts turn with a velocity of all joints [rad/s]."""
+        return 0.0
+
+    def begin(self, q: Array) -> None:
+        """Learn from which configuration of what is integrated a step starts."""
+
+    def moved(self, q: Array, way: Array) -> None:
+        """Learn to which configuration all joints moved, and how far, shape (nv,)."""
+
+    def at(self, x: State, free: Array, h: float) -> RowsAt:
+        """The rows at a state of all joints, with bounds that are those of it.
+
+        Args:
+            x: The state, on the way of a step.
+            free: Velocity at its end without the rows, shape (nv,).
+            h: Its length [s].
+        """
+        k, rows = self._k, self.rows
+        k.refresh(x.q, x.v, rows.reads)
+        if rows.varies:
+            rows.limit(k, x)
+        J, drift = (each.copy() for each in rows.accelerations(k, x))
+        return RowsAt(self.every, J, drift, rows.residual(k, x), rows.rate(k, x))
+
+    def gaps(self, x: State) -> Array | None:
+        """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
+
+        Returns:
+            None where no row may be beyond 0.
+        """
+        self._k.refresh(x.q, x.v, self._of_g)
+        return np.where(self.every.pushes, self.rows.residual(self._k, x), np.inf)
+
+    def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
+        """How impulses of the rows move the joints.
+
+        Args:
+            held: What moves them, for other rows.
+            K: Its mass matrix, shape (nv, nv).
+            J: The rows, shape (m, nv).
+        """
+        return held.of(J)
+
+    def jacobian(self, x: State, on: NDArray[np.intp]) -> Array:
+        """Some rows of dg/dq at a state of all joints."""
+        self._k.refresh(x.q, x.v, self._of_J)
+        return self.rows.jacobian(self._k, x)[on]
+
+
+# ---- step problem -----------------------------------------------------------------------------
+# What a step of velocities has to solve, and which of its rows close on the way.
+#
+# With constant accelerations a gap goes gap + rate t + bent t^2 / 2.
+
+
+_SLIGHT = 1.0e-12  # a rate that is none, of the largest velocity
+_ROUNDING = 1.0e-9  # the same of rows between which nothing else moves
+
+
+class StepProblem(NamedTuple):
+    """The linear problem of a step.
+
+    Attributes:
+        x: State of all joints at its intermediate time, with the velocity of the start.
+        M: Their mass matrix there.
+        response: To impulses of the rows that give way.
+        acting: Which rows these are.
+        J: Their Jacobian, shape (m, nv).
+        gap: Their g at the start of the step, shape (m,).
+        rate: Their g' with the velocity of the start, shape (m,).
+        offset: Their g' at the end of the step, without J v, shape (m,).
+        bend: What of that comes from the change of J, shape (m,).
+        goal: J v of the bilateral rows at the end of the step.
+        free: Velocity at the end without rows that give way, shape (nv,).
+        h: Length of the step [s].
+        theta: Share of the velocity at its end in the mean one.
+        slopes: Of loads and internal states.
+        dz_still: Increment of internal states if the velocity at the end is 0, shape (nz,).
+    """
+
+    x: State
+    M: Array
+    response: ImpulseResponse
+    acting: Acting
+    J: Array
+    gap: Array
+    rate: Array
+    offset: Array
+    bend: Array
+    goal: Array
+    free: Array
+    h: float
+    theta: float
+    slopes: Slopes
+    dz_still: Array
+
+    def dz(self, end: Array) -> Array:
+        """Increment of internal states with a velocity at the end, shape (nz,)."""
+        increment: Array = self.dz_still + self.slopes.by_v.dot(end)
+        return increment
+
+    @property
+    def left(self) -> Array:
+        """Gaps at the end of the step if the rates became 0 by then, shape (m,)."""
+        return self.gap + self.h * (1.0 - self.theta) * self.rate
+
+    @property
+    def at_end(self) -> Array:
+        """The g' at the end of the step without rows that give way, shape (m,)."""
+        return self.J.dot(self.free) + self.offset
+
+    def closed(self) -> Which:
+        """One-sided rows that would be closed at the end of the step."""
+        if not len(self.gap):
+            return self.acting.pushes
+        return self.acting.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
+
+    def hits(self, closed: Which) -> Which:
+        """Closed rows that approach faster than the forces of one step make them."""
+        if not len(closed):
+            return closed
+        if not (closed & (self.rate < 0.0)).any():
+            return np.zeros(len(closed), dtype=np.bool_)
+        gained = np.abs(self.at_end - self.rate)
+        speed = max(self.speed(self.x.v), self.speed(self.free))
+        slow = _ROUNDING * speed * np.sqrt(np.maximum(self.response.loose, 0.0))
+        return closed & (-self.rate > np.maximum(gained, slow))
+
+    def passed(self, end: Array) -> Which:
+        """One-sided rows that a velocity at the end of the step would take beyond 0."""
+        left = self.left + self.h * self.theta * (self.J.dot(end) + self.offset)
+        return self.acting.pushes & (left < -self.h * self.slight(self.free))
+
+    def asked(self, on: NDArray[np.intp], free: Array) -> Array:
+        """The g' of some rows at the end of the step, less what they may keep, shape (len(on),).
+
+        Args:
+            on: The rows.
+            free: Velocity at the end without rows that give way.
+        """
+        return self.J[on].dot(free) + self.offset[on] + self.rates_left(on)
+
+    def speed(self, v: Array) -> float:
+        """A velocity in the mass metric."""
+        return max(float(v.dot(self.M).dot(v)), 0.0) ** 0.5
+
+    def slight(self, v: Array) -> Array:
+        """Rates of the rows that are none beside a velocity, shape (m,)."""
+        none: Array = _SLIGHT * self.speed(v) * np.sqrt(np.maximum(self.response.loose, 0.0))
+        return none
+
+    def rates_left(self, on: NDArray[np.intp]) -> Array:
+        """The g' that rows may keep, since gaps are left at the end, shape (len(on),)."""
+        room = np.maximum(self.left[on], 0.0) / (self.h * self.theta)
+        return np.where(self.acting.pushes[on], room, 0.0)
+
+
+def first_closing(gap: Array, rate: Array, bent: Array) -> float:
+    """The first time at which a gap is 0 [s], rates negative; 0 where one has no room left."""
+    root = np.sqrt(np.maximum(rate * rate - 2.0 * bent * gap, 0.0))
+    return max(float((2.0 * gap / (root - rate)).min()), 0.0)
+
+
+# ---- bounded rows -----------------------------------------------------------------------------
+# Rows that give way in a step of velocities: stops, dry friction, limited drives.
+
+
+class GivingWay:
+    """One complementarity problem a step for all rows that give way.
+
+    Args:
+        rows: The rows; their bounds are those of the state that was last asked for.
+
+    Attributes:
+        last: What the next problem begins with; empty where it begins with nothing.
+        shared: Which rows `last` is of and what their A was, if it is of least norm; else empty.
+        worst: The largest residuals of contacts since `forget`; None without contacts.
+        forces: Mean forces of contacts in the last step; None without contacts.
+    """
+
+    def __init__(self, rows: ConstraintRows) -> None:
+        self._rows, self.last = rows, np.zeros(0)
+        self.shared: tuple[Any, ...] = ()
+        self.worst: Any = None
+        self.forces: Array | None = None
+
+    def forget(self) -> None:
+        """Begin to look for the largest residuals anew."""
+
+    def turned(self, problem: StepProblem, end: Array) -> Slots | None:
+        """Tangents of contacts whose slips end within the step; without contacts None."""
+        return None
+
+    def ending(self, turned: Slots, problem: StepProblem, end: Array) -> float:
+        """When the first of some slips ends [s]."""
+        return 0.0
+
+    def accept(self) -> None:
+        """Go on from the step that `turned` looked at."""
+
+    def given_back(self, problem: StepProblem, end: Array) -> Array | None:
+        """What is taken from the way of the step [m, rad], shape (nv,); without contacts None."""
+        return None
+
+    def end(
+        self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
+    ) -> Array:
+        """Velocity at the end of the step, from that without rows that give way.
+
+        Args:
+            problem: The problem.
+            closed: One-sided rows that may push.
+            free: The velocity without rows that give way.
+            near: The same velocity, as it was before forces on the way to it were known.
+        """
+        if not len(closed):
+            return free + 0.0
+        return self.pushed(problem, closed, free, near)
+
+    def pushed(
+        self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
+    ) -> Array:
+        """Velocity at the end of the step if no other rows push; arguments as for `end`."""
+        on = np.flatnonzero((closed | ~problem.acting.pushes)[problem.acting.decides])
+        return free + self._change(problem, on, free)
+
+    def _change(self, problem: StepProblem, on: NDArray[np.intp], free: Array) -> Array:
+        """What the impulses of some rows add to a velocity.
+
+        Args:
+            problem: The problem.
+            on: The rows.
+            free: The velocity without them.
+        """
+        if not len(on):
+            return np.zeros(len(free))
+        response, acting = problem.response, problem.acting
+        of = response.A[np.ix_(on, on)], response.loose[on], [acting.names[i] for i in on]
+        b, speed = problem.asked(on, free), problem.speed(free)
+        if acting.pushes[on].all():
+            p = PushImpulses(response.G[:, on], *of[1:]).solve(b, speed)
+        else:
+            p = BoundedImpulses(*of).solve(b, *self._bounds(problem, acting.at[on]), speed)
+        change: Array = response.X[:, on].dot(p)
+        return change
+
+    def _bounds(self, problem: StepProblem, at: NDArray[np.intp]) -> tuple[Array, Array]:
+        """Smallest and largest impulses of rows in a step."""
+        return problem.h * self._rows.lower[at], problem.h * self._rows.upper[at]
+
+
+# ---- position correction ----------------------------------------------------------------------
+# The way out of one-sided rows that are beyond 0, the least in the mass metric.
+
+
+_NEAR = 10.0  # gaps that count while others are closed, of how far one of these is beyond 0
+
+
+class MovesOut:
+    """Finds ways out of one-sided rows.
+
+    Args:
+        mechanism: The mechanism.
+        rigid: Its bilateral rows, which hold on the way.
+        rows: The rows that give way.
+    """
+
+    def __init__(self, mechanism: Mechanism, rigid: RigidRows, rows: StepRows) -> None:
+        self._mechanism, self._rigid, self._rows = mechanism, rigid, rows
+        self._no_rows = np.zeros((0, int(mechanism.model.nv)))
+
+    def way(self, x: State) -> Array | None:
+        """The way of all joints from a state of them, shape (nv,); None where no row is beyond 0.
+
+        Args:
+            x: The state.
+        """
+        rows, rigid = self._rows, self._rigid
+        gap = rows.gaps(x)
+        if gap is None or (least := float(gap.min())) >= -LANDED:
+            return None
+        near = np.flatnonzero(gap <= -_NEAR * least)
+        J = rows.jacobian(x, near)
+        M = np.array(self._mechanism.mass(x.q))
+        hold = rigid.jacobian(x.t, x.q) if rigid.rows else self._no_rows
+        factor = rigid.factorise(M, hold) if rigid.rows else None
+        response = ImpulseResponse(M, J, hold, factor)
+        if len(near) == 1 and response.A[0, 0] > HELD_BY_ROWS * response.loose[0]:
+            alone: Array = response.X[:, 0] * (-least / float(response.A[0, 0]))
+            return alone
+        names = [rows.every.names[i] for i in near]
+        p, _ = PushImpulses(response.G, response.loose, names).nearest(gap[near], 0.0)
+        together: Array = response.X.dot(p)
+        return together

@@ -1,0 +1,109 @@
+"""Gains that lead back to a motion: `mbd-ros follow`."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mbd_ros.core.state import NANOSECOND
+from mbd_ros.errors import DataError
+from mbd_ros.features.control.regulator import Tolerated, check_scene, recorded, regulated
+from mbd_ros.features.control.tracking_tube import tube_level
+from mbd_ros.files.recording import PLAN, plan_table, plan_words
+from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.table import MAIN, Result, Table, time_columns
+from mbd_ros.jobs.arguments import about
+from mbd_ros.jobs.progress import Say, Watch, progress, watching
+from mbd_ros.methods.control.tracking_plan import TrackingPlan
+from mbd_ros.motion.columns import joint_columns
+from mbd_ros.motion.recordings import Source, name_of
+from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.scene.built_scene import Scene
+
+
+def follow(
+    scene: Scene,
+    motion: Source,
+    *,
+    position: float = 0.1,
+    velocity: float = 1.0,
+    effort: float | None = None,
+    tube: int = 48,
+    watch: Watch = False,
+) -> Result:
+    """Time-varying linear quadratic regulator along a motion.
+
+    The cost of deviations is |e_q / position|² + |e_v / velocity|² + |du / effort|², integrated;
+    at the end of the motion, that of holding its last state for ever, where that is possible.
+
+    Args:
+        scene: A scene whose actuators take the torque of their joint.
+        motion: Result or file with positions, velocities, and efforts or commands.
+        position: Tolerated deviation of positions [rad or m].
+        velocity: Of velocities [rad/s or m/s].
+        effort: Of efforts [N·m or N]; None for the limit of each input, or else its largest, but
+            not more than a twentieth of what makes a held contact slip or lift.
+        tube: Number of random disturbances that the tube is tested with; 0 for no tube.
+        watch: True for a line on a terminal, or a function of a label and a share.
+
+    Returns:
+        Table `samples`, the motion; table `plan`, see `files.recording`.
+
+    Raises:
+        DataError: The motion lacks something, or the scene cannot be followed.
+    """
+    tolerated = _checked(Tolerated(position, velocity, effort))
+    check_scene(scene)
+    with about(name_of(motion)), watching(watch):
+        found = regulated(scene, recorded(scene, motion), tolerated)
+        plan = found.plan
+        if tube:
+            given = found.disturbed, plan, found.widest, found.fastest
+            more = {"rests": found.rests, "count": tube}
+            level = tube_level(*given, **more, watched=lambda i: progress(i, tube, "tube"))
+            plan = plan.with_level(level)
+    inputs = {"motion": motion, **tolerated._asdict()}
+    metadata = {**metadata_of("follow", scene, inputs, {}), PLAN: plan_words(plan)}
+    return Result({MAIN: _motion_table(scene, plan), PLAN: plan_table(plan)}, metadata)
+
+
+def follow_to(scene: Scene, motion: Path, out: Path, options: dict[str, Any], say: Say) -> None:
+    """Read a motion, write the plan that follows it.
+
+    Raises:
+        MbdError: As `follow`, or a place that cannot be written to.
+    """
+    refuse_overwriting(out, motion)
+    check_place(out)
+    result = follow(scene, motion, **options, watch=True)
+    result.to(out, among=(".npz", ".parquet"))
+    words = result.metadata[PLAN]
+    say(f"{result[PLAN].rows} samples, gains of {', '.join(words['inputs'])} -> {out}")
+    say(_tube_line(words["level"], result, options.get("tube", 48)))
+
+
+def _tube_line(level: float, result: Result, count: int) -> str:
+    if not count:
+        return "tube: not looked for"
+    if not level:
+        return "tube: none found, no disturbance returns"
+    cost = result[PLAN]["cost"]
+    d = cost.shape[1] // 2
+    reach = np.sqrt(level / np.linalg.eigvalsh(cost[:, :d, :d])[:, -1].max())
+    return f"tube: cost to go below {level:.6g}; positions off by {reach:.3g} alone are within"
+
+
+def _checked(given: Tolerated) -> Tolerated:
+    for name, value in given._asdict().items():
+        if value is not None and not 0.0 < value < np.inf:
+            raise DataError(f"{name}: {value:g} must be finite and > 0")
+    return given
+
+
+def _motion_table(scene: Scene, plan: TrackingPlan) -> Table:
+    joints = [scene.robot.joint(name) for name in plan.joints]
+    driven = [scene.robot.joint(name) for name in plan.inputs]
+    stamps = np.round(plan.times / NANOSECOND).astype(np.int64)
+    columns = [*time_columns(stamps), *joint_columns(joints, "position", plan.q)]
+    columns += joint_columns(joints, "velocity", plan.v)
+    return Table([*columns, *joint_columns(driven, "effort", plan.u)])

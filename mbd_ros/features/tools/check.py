@@ -1,0 +1,34 @@
+"""The command `mbd-ros check`: parts that a scene builds and leaves out, and their cost."""
+
+import argparse
+from dataclasses import replace
+
+from mbd_ros.errors import OK
+from mbd_ros.jobs.arguments import about, add_scene
+from mbd_ros.jobs.progress import announce, say_all
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The words that `check` understands."""
+    add_scene(parser)
+    parser.add_argument(
+        "--compiled",
+        action="store_true",
+        help="as with solver auto: what is compiled and what a step costs, or why not",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Do what the words say; the exit code."""
+    from mbd_ros.scene.describe.check import describe
+    from mbd_ros.scene.reader import is_of_particles, load_any
+
+    with about(arguments.scene):
+        scene = load_any(arguments.scene)
+        if is_of_particles(scene):
+            say_all(scene.check().splitlines())
+            return OK
+        if arguments.compiled and not scene.solver.compiles:
+            scene = scene.holding(solver=replace(scene.solver, type="auto"))
+        say_all(describe(scene, announce))
+    return OK

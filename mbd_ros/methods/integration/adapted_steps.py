@@ -1,0 +1,178 @@
+"""Steps of any method whose own states have another form than those of the system."""
+
+import math
+from typing import Any
+
+from mbd_ros.core.dynamics.internal_dynamics import Extended
+from mbd_ros.core.dynamics.world_axes import InWorldAxes
+from mbd_ros.core.state import Array, Memory, Mode, State, copied, recognised
+from mbd_ros.methods.integration.stepping import Integrator, Stepper
+
+# ---- adapted steps ----------------------------------------------------------------------------
+# Steps of any method whose own states have another form than those of the system.
+
+
+class AdaptedSteps(Stepper):
+    """Steps of a method that knows states in a form of its own.
+
+    Args:
+        form: What adapts accelerators to the states that the method knows.
+        inner: Steps of these.
+    """
+
+    def __init__(self, form: Any, inner: Stepper) -> None:
+        self._form, self._inner = form, inner
+        self.is_fixed = inner.is_fixed
+        self._last: tuple[State | None, State | None] = (None, None)  # as given, and adapted
+
+    def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
+        """Advance by one step of the method; x itself at or after `end`."""
+        before = self._known(x)
+        after = self._inner.step(before, u, end)
+        return x if after is before else self._kept(after)
+
+    def settle(self, x: State, u: Array | None) -> State:
+        """The first state with the mode in which it goes on."""
+        return self._kept(self._inner.settle(self._known(x), u))
+
+    def restart(self) -> None:
+        """Forget everything that was kept from earlier steps."""
+        self._inner.restart()
+        self._last = (None, None)
+
+    def memory(self) -> Memory:
+        """What the method remembers, and the last state in both forms."""
+        return {"last": copied(self._last), "inner": self._inner.memory()}
+
+    def recall(self, memory: Memory, x: State) -> None:
+        """As `Stepper.recall`."""
+        self._last = recognised(copied(memory["last"]), x)
+        self._inner.recall(memory["inner"], self._known(x))
+
+    def again(self, h: float, t: float) -> State:
+        """The last step taken again with another length."""
+        return self._kept(self._inner.again(h, t))
+
+    def follow(self, accelerate: Any, mode: Mode = ()) -> None:
+        """Follow other accelerations from the next step on."""
+        self._inner.follow(self._form.adapted(accelerate), mode)
+
+    def continue_from(self, x: State) -> None:
+        """Go on from a state that stabilization has made of the last one, history kept."""
+        self._last = x, self._moved(x)
+        self._inner.continue_from(self._last[1])
+
+    @property
+    def pace(self) -> tuple[float, ...]:
+        """As `Stepper.pace`."""
+        return self._inner.pace
+
+    @pace.setter
+    def pace(self, pace: tuple[float, ...]) -> None:
+        self._inner.pace = pace
+
+    def interpolate(self, t: float) -> State:
+        """State inside the last step, by the dense output of the method."""
+        return self._given(self._inner.interpolate(t))
+
+    def _adapted(self, x: State) -> State:
+        """A state in the form of the method."""
+        raise NotImplementedError
+
+    def _given(self, after: State) -> State:
+        """A state of the method in the form of the system."""
+        raise NotImplementedError
+
+    def _moved(self, x: State) -> State:
+        """A state in the form of the method, near the last one."""
+        return self._adapted(x)
+
+    def _known(self, x: State) -> State:
+        last, adapted = self._last
+        if x is not last or adapted is None:
+            adapted = self._adapted(x)
+            self._last = x, adapted
+        return adapted
+
+    def _kept(self, after: State) -> State:
+        x = self._given(after)
+        self._last = x, after
+        return x
+
+
+# ---- world axes steps -------------------------------------------------------------------------
+# Steps of any method with velocities of free bodies in the axes of the world.
+
+
+class TurnedSteps(AdaptedSteps):
+    """Steps whose states have velocities in the axes of the bodies, as all others.
+
+    Args:
+        world: The system in the axes of the world.
+        inner: Steps of that.
+    """
+
+    def __init__(self, world: InWorldAxes, inner: Stepper) -> None:
+        super().__init__(world, inner)
+        self._world = world
+
+    def _adapted(self, x: State) -> State:
+        return self._world.turned(x)
+
+    def _given(self, after: State) -> State:
+        return self._world.turned_back(after)
+
+
+# ---- internal steps ---------------------------------------------------------------------------
+# Steps of any method with internal states.
+
+
+class InternalSteps(AdaptedSteps):
+    """Steps in which internal states stand beside velocities, see `Extended`.
+
+    They are inside their bounds after every step.
+
+    Args:
+        method: The method.
+        system: The system, with internal states.
+        dt: Length of a step, or first guess [s].
+    """
+
+    def __init__(self, method: Integrator, system: Any, dt: float) -> None:
+        self._whole, self._nq = Extended(system), int(system.nq)
+        super().__init__(self._whole, method.prepare(self._whole, dt))
+        followed = self._inner.system
+        self.system = None if followed is None else followed.system
+
+    def again(self, h: float, t: float) -> State:
+        """The last step taken again with another length."""
+        after = self._inner.again(h, t)
+        x = self._whole.parted(after)
+        self._last = x, after
+        if _is_beyond(x, after):
+            self._last = x, self._moved(x)
+        return x
+
+    def _adapted(self, x: State) -> State:
+        return self._whole.joined(x)
+
+    def _given(self, after: State) -> State:
+        return self._whole.parted(after)
+
+    def _kept(self, after: State) -> State:
+        """The state after a step; the method goes on from bounds where it went beyond."""
+        x = super()._kept(after)
+        if _is_beyond(x, after):
+            self.continue_from(x)
+        return x
+
+    def _moved(self, x: State) -> State:
+        """A state with the integrals of the last one."""
+        joined = self._last[1]
+        return self._whole.joined(x, None if joined is None else joined.q[self._nq :])
+
+
+def _is_beyond(x: State, joined: State) -> bool:
+    """Whether a step went beyond bounds of internal states."""
+    z = joined.v[len(x.v) :]
+    return bool(((x.z != z) & (z == z)).any())

@@ -1,0 +1,113 @@
+"""Bodies of contacts that overlap at the start: refused by name, or lifted out of one another.
+
+    min |d|_M   subject to   g + J (d - d_k) >= 0 of every gap,   J_b (d - d_k) = 0 of the others
+
+again and again, from the way d_k of the last time, since gaps bend. Source: J. J. Moreau,
+Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mbd_ros.core.complementarity.bounded_rows import PushImpulses
+from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism, RigidRows
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.geometry.contact_pair import distance_to_mass
+from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.rows.constraint import Kind
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import SolveError
+from mbd_ros.methods.projection.assembly import assemble
+
+_ROUNDING = 1.0e-6  # of the size of a body: how deep a start may be that is written in digits
+_LIFTED = 1.0e-12  # of the same: how deep one may be that is lifted out
+_NEAR = 10.0  # of the deepest overlap: gaps that count beside it
+_PLACED = 1.0e-14  # of the largest coordinate: what rounding leaves of a place
+_STILL = 1.0e-9  # of the size: a move after which none is left
+_MOVES, _LISTED = 100, 4
+_LONGEST = 0.5  # rad or m, of one of them
+
+
+def without_overlap(system: System, y: State) -> State:
+    """A start in which no bodies of rigid contacts overlap.
+
+    Args:
+        system: The system.
+        y: State of what is integrated, on the bilateral rows.
+
+    Raises:
+        SolveError: Bodies overlap, and their contact does not say `assemble: true`, or nothing
+            moves them apart; names contact, bodies, features and depth.
+    """
+    blocks = system.layout.having(Kind.CONE)
+    parts = [(block, block.part) for block in blocks if hasattr(block.part, "pair")]
+    k, x = Kinematics(system.robot), system.expand(y)
+    k.refresh(x.q, x.v, Reads.POSITION)
+    lifted, sizes = False, list[float]()
+    for block, part in parts:
+        gaps = block.part.residual(k, x)[::3]
+        if gaps.min() >= 0.0:
+            continue
+        size = distance_to_mass(system.robot, part.pair)
+        if getattr(part, "assemble", False):
+            sizes.append(size)
+            lifted = lifted or bool(gaps.min() < -_LIFTED * size)
+        elif gaps.min() < -_ROUNDING * size:
+            raise SolveError(
+                f"{_told(block, gaps)}; move one of them, or say assemble: true there"
+            )
+    return _lifted(system, y, min(sizes)) if lifted else y
+
+
+def _lifted(system: System, y: State, size: float) -> State:
+    mechanism, layout = Mechanism(system.robot, system.loads), system.layout
+    nv = int(system.model.nv)
+    rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, (0.0, 0.0)))
+    blocks = layout.having(Kind.CONE, Kind.UNILATERAL)
+    rows = ConstraintRows(blocks, nv)
+    every = np.concatenate([_gaps(block) for block in blocks])
+    names = [rows.rows[i].name for i in np.flatnonzero(every)]
+    pushed = np.zeros(len(names), dtype=np.bool_)
+    first, slack = y, _PLACED * float(np.abs(y.q).max())
+    for _ in range(_MOVES):
+        y = assemble(system, y)
+        gone = system.chart.difference(first.q, y.q)
+        x = system.expand(y._replace(v=gone))
+        mechanism.k.refresh(x.q, x.v, Reads.JACOBIAN)
+        gap = rows.residual(mechanism.k, x)[every]
+        near = pushed | (gap <= max(-_NEAR * float(gap.min()), _ROUNDING * size))
+        J = rows.jacobian(mechanism.k, x)[every][near]
+        M = np.array(mechanism.mass(x.q))
+        hold = rigid.jacobian(x.t, x.q) if rigid.rows else np.zeros((0, nv))
+        response = ImpulseResponse(M, J, hold, rigid.factorise(M, hold) if rigid.rows else None)
+        least, _ = response.kept(np.zeros(nv), hold.dot(x.v))
+        left = gap[near] + J.dot(least - x.v)
+        rates = PushImpulses(response.G, response.loose, np.array(names)[near].tolist())
+        push = rates.solve(left, 0.0)
+        pushed[near] = push > 0.0
+        way = system.integrated(least + response.X.dot(push)) - gone
+        longest = float(np.abs(way).max())
+        if gap.min() >= -_LIFTED * size - slack and longest <= _STILL * size + slack:
+            return y._replace(v=first.v)
+        way *= _LONGEST / max(longest, _LONGEST)
+        y = y._replace(q=system.chart.integrate(first.q, gone + way))
+    raise SolveError(f"nothing lifts {names[int(gap.argmin())]} out of {-gap.min():.3g} m")
+
+
+def _gaps(block: RowBlock) -> NDArray[np.bool_]:
+    """Which rows of a block are gaps."""
+    is_gap = np.full(len(block.rows), block.law.kind is Kind.UNILATERAL)
+    is_gap[::3] = True
+    return is_gap
+
+
+def _told(block: RowBlock, gaps: Array) -> str:
+    pair = block.part.pair  # type: ignore[attr-defined]
+    names = [pair.features[i] for i in np.argsort(gaps) if gaps[i] < 0.0]
+    a, b = pair.between
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return (
+        f"contact {block.part.name}: {a.frame} and {b.frame} overlap by {-gaps.min():.3g} m at "
+        f"the start, at {', '.join(names[:_LISTED])}{more}"
+    )

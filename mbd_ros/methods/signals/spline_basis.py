@@ -1,0 +1,338 @@
+"""Quintic B-splines of uniform knots.
+
+A row of samples lies in a few cells that follow each other, and sees the splines of these: sums
+and values are small products of matrices, a row each. A block of samples at a time stays in the
+cache.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from numpy.lib.stride_tricks import as_strided
+from numpy.typing import NDArray
+
+from mbd_ros.core.state import Array
+
+# ---- long products ----------------------------------------------------------------------------
+# Products of long matrices on the core that calls.
+#
+# BLAS starts threads for a product of more than 2^18 multiplications. They wait busily for each
+# other, which costs more than products of this size take.
+
+
+_MOST = 1 << 18
+
+
+def product(left: Array, right: Array) -> Array:
+    """Matrix product left @ right, of which the inner side or that of `right` is the long one."""
+    (rows, inner), columns = left.shape, right.shape[1]
+    if columns > inner:
+        step = max(_MOST // (rows * inner), 1)
+        parts = [left @ right[:, i : i + step] for i in range(0, columns, step)]
+        return np.concatenate(parts, axis=1)
+    step = max(_MOST // (rows * columns), 1)
+    total: Array = np.zeros((rows, columns))
+    for i in range(0, inner, step):
+        total += left[:, i : i + step] @ right[i : i + step]
+    return total
+
+
+# ---- spline pieces ----------------------------------------------------------------------------
+# Quintic B-splines of uniform knots as polynomials within a cell.
+
+
+DEGREE = 5
+
+# order of a derivative, signals that pass, where its values go, and in which columns
+Wanted = Sequence[tuple[int, NDArray[np.intp], Array, NDArray[np.intp]]]
+
+
+def pieces(origin: float) -> Array:
+    """Coefficients of u^k, k = 0 .. 5, of the six splines of a cell, shape (spline, k).
+
+    b_p(u) = 1/5! sum_j (-1)^j C(6, j) (u + origin + 5 - p - j)^5 over the terms that are positive.
+
+    Args:
+        origin: Place in the cell that u = 0 is, 0 its beginning and 1 its end.
+
+    Source: C. de Boor, A Practical Guide to Splines, 1978, chapter IX (truncated powers).
+    """
+    n, found = DEGREE, np.zeros((DEGREE + 1, DEGREE + 1))
+    for p in range(n + 1):
+        for j in range(n + 1 - p):
+            shift, sign = n - p - j, (-1.0) ** j * math.comb(n + 1, j) / math.factorial(n)
+            for k in range(n + 1):
+                found[p, k] += sign * math.comb(n, k) * (shift + origin) ** (n - k)
+    return found
+
+
+# ---- nested splines ---------------------------------------------------------------------------
+# Uniform quintic B-splines of cells, and of the same cells joined in pairs.
+#
+#     b(x) = 2^-5 sum_k C(6, k) b(2 x - k), k = 0 .. 6
+#
+# Source: C. de Boor, A Practical Guide to Splines, 1978, chapter XI (insertion of knots).
+
+
+_ENDS = -0.5, 0.5  # of a cell, which the middles of its halves are half as far from its middle as
+_SHARES = [math.comb(DEGREE + 1, k) / 2.0**DEGREE for k in range(DEGREE + 2)]
+_NESTED_SPLINES_MIDDLE = pieces(0.5)[:, 0]  # values of the six splines of a cell there
+
+
+def joined(sums: Array) -> Array:
+    """Sums of b y with the splines of pairs of cells.
+
+    Args:
+        sums: Those with the splines of the cells, an even number of them; shape (m, splines).
+    """
+    splines = (sums.shape[1] - DEGREE) // 2 + DEGREE
+    padded = np.pad(sums, ((0, 0), (DEGREE, DEGREE + 1)))
+    found: Array = np.zeros((len(sums), splines))
+    for k, share in enumerate(_SHARES):
+        found += share * padded[:, k : k + 2 * splines : 2]
+    return found
+
+
+def parted(coefficients: Array) -> Array:
+    """Coefficients of the splines of the halves of cells, for the same function.
+
+    Args:
+        coefficients: Of the splines of the cells, shape (m, splines).
+    """
+    m, splines = coefficients.shape
+    padded = np.zeros((m, 2 * splines + DEGREE + 1))
+    for k, share in enumerate(_SHARES):
+        padded[:, k : k + 2 * splines : 2] += share * coefficients
+    return padded[:, DEGREE : 2 * splines]
+
+
+def middles(coefficients: Array) -> Array:
+    """Values in the middle of each cell, shape (m, cells).
+
+    Args:
+        coefficients: Of the splines of the cells, shape (m, splines).
+    """
+    cells = coefficients.shape[1] - DEGREE
+    found: Array = np.zeros((len(coefficients), cells))
+    for p, share in enumerate(_NESTED_SPLINES_MIDDLE):
+        found += share * coefficients[:, p : p + cells]
+    return found
+
+
+def joined_powers(sums: Array) -> Array:
+    """Sums of y u^k, u the place from the middle of a cell on, for pairs of cells.
+
+    u of a pair is (u -+ 1/2) / 2.
+
+    Args:
+        sums: For the cells, an even number of them; shape (k, cells).
+    """
+    found: Array = np.zeros((len(sums), sums.shape[1] // 2))
+    for half, end in enumerate(_ENDS):
+        shares = [
+            [math.comb(k, j) * end ** max(k - j, 0) / 2.0**k for j in range(len(sums))]
+            for k in range(len(sums))
+        ]
+        found += product(np.array(shares), sums[:, half::2])
+    return found
+
+
+# ---- spline basis -----------------------------------------------------------------------------
+# Quintic B-splines of uniform knots: sums over samples, and values at samples.
+
+
+_WIDTH = DEGREE + 1  # splines that are not 0 in a cell
+_LENGTH = 16  # samples of a row, about
+_LOOSE = 2.0  # places that rows of one length may take, per sample
+_BLOCK = 4096  # samples
+_MIDDLE = 0.5
+_PIECES = pieces(_MIDDLE)
+_PAIRS = [(p, q) for p in range(_WIDTH) for q in range(p, _WIDTH)]
+_PRODUCTS = np.array([np.convolve(_PIECES[p], _PIECES[q]) for p, q in _PAIRS])
+
+
+class CellBasis:
+    """The splines of uniform cells at places within them.
+
+    Args:
+        places: In cells from the beginning on, increasing, shape (n,).
+        cells: Number of cells; there are `cells + DEGREE` splines.
+        weights: Of the samples, shape (n,).
+    """
+
+    def __init__(self, places: Array, cells: int, weights: Array) -> None:
+        places = np.clip(places, 0.0, cells)
+        self._cells, self._weights = cells, weights
+        self._at = np.minimum(places.astype(np.intp), cells - 1)
+        self._u = places - self._at - _MIDDLE
+        self._several = max(_LENGTH * cells // len(places), 1)  # cells of a row
+        self._groups = -(-cells // self._several)
+        self._kept: list[tuple[slice, _Block]] = []
+        self._sums: list[Array] = []
+        self._normals: dict[int, Array] = {}
+
+    def normal(self, level: int = 0) -> Array:
+        """Sums of weight b_i b_j over the samples, upper banded form, (DEGREE + 1, splines).
+
+        Args:
+            level: Of cells 2^level times as wide, which `cells` is a multiple of.
+        """
+        if level not in self._normals:
+            powers = self._powers(level)
+            cells = powers.shape[1]
+            found = np.zeros((_WIDTH, cells + DEGREE))
+            for (p, q), row in zip(_PAIRS, product(_PRODUCTS, powers), strict=True):
+                found[DEGREE - (q - p), q : q + cells] += row
+            self._normals[level] = found
+        return self._normals[level]
+
+    def _powers(self, level: int) -> Array:
+        """Sums of weight u^k over the samples of each cell, k = 0 .. 10, shape (11, cells)."""
+        if not self._sums:
+            self._sums.append(np.empty((2 * DEGREE + 1, self._cells)))
+            weighted = self._weights.copy()
+            for own in self._sums[0]:
+                own[:] = np.bincount(self._at, weighted, self._cells)
+                weighted *= self._u
+        while len(self._sums) <= level:
+            self._sums.append(joined_powers(self._sums[-1]))
+        return self._sums[level]
+
+    def projected(self, values: Array, chosen: NDArray[np.intp]) -> Array:
+        """Sums of weight b_i y over the samples, y m columns of values; shape (m, splines)."""
+        several, columns = self._several, _together(chosen)
+        projected = np.zeros((self._groups * several + DEGREE, len(chosen)))
+        for rows, block in self._blocks():
+            sums = block.sums(self._weights[rows], values[rows][:, columns])
+            for p in range(several + DEGREE):
+                projected[block.own(p)] += sums[:, p]
+        return np.ascontiguousarray(projected[: self._cells + DEGREE].T)
+
+    def put(self, coefficients: Array, width: float, wanted: Wanted, rows: slice) -> None:
+        """Derivatives of sums of splines at some samples.
+
+        Args:
+            coefficients: Shape (m, splines).
+            width: Of a cell [s].
+            wanted: See `spline_pieces.Wanted`.
+            rows: The samples.
+        """
+        orders = sorted({order for order, *_ in wanted})
+        lacking = self._groups * self._several - self._cells
+        padded = np.pad(coefficients, ((0, 0), (0, lacking)))
+        for part, block in self._blocks():
+            own = slice(max(part.start, rows.start), min(part.stop, rows.stop))
+            if own.start >= own.stop:
+                continue
+            into = slice(own.start - rows.start, own.stop - rows.start)
+            inside = slice(own.start - part.start, own.stop - part.start)
+            found = block.values(padded, orders, width)
+            for order, columns, target, places in wanted:
+                at = block.places(orders.index(order), len(orders))[inside]
+                taken = np.take(found[:, _together(columns)], at, axis=0, mode="clip")
+                target[into, _together(places)] = taken
+
+    def _blocks(self) -> "Iterator[tuple[slice, _Block]]":
+        """Samples, and the block of them; made when they are first asked for."""
+        if not self._kept:
+            for begin in range(0, len(self._u), _BLOCK):
+                rows = slice(begin, begin + _BLOCK)
+                block = _Block(self._at[rows], self._u[rows], self._several)
+                self._kept.append((slice(begin, begin + len(block.u)), block))
+        return iter(self._kept)
+
+
+def _together(chosen: NDArray[np.intp]) -> slice | NDArray[np.intp]:
+    """Columns, as a slice where they stand beside each other: a view of them."""
+    beside = bool((np.diff(chosen) == 1).all()) and len(chosen) > 0
+    return slice(int(chosen[0]), int(chosen[-1]) + 1) if beside else chosen
+
+
+class _Block:
+    """Samples in rows of one length; a row has some cells, and these may have several rows.
+
+    Attributes:
+        u: Places of the samples from the middle of their cell on, shape (n,).
+    """
+
+    def __init__(self, at: NDArray[np.intp], u: Array, several: int) -> None:
+        self.u, self._several, n = u, several, len(u)
+        group, self._offset = np.divmod(at, several) if several > 1 else (at, np.zeros_like(at))
+        starts = np.flatnonzero(np.diff(group, prepend=-1))
+        self._used = group[starts]  # groups that hold a sample
+        counts = np.diff(np.append(starts, n))
+        length = int(counts.max())
+        if length * len(counts) > _LOOSE * n:
+            length = max(n // len(counts), 1)
+        of_group = -(-counts // length)  # rows
+        self._first = np.cumsum(of_group) - of_group
+        self._rows, self._length = int(of_group.sum()), length
+        self._long = self._rows > len(of_group)
+        self._group = np.repeat(self._used, of_group) if self._long else self._used
+        place = np.repeat(self._first * length - starts, counts) + np.arange(n)
+        self._row, self._within = np.divmod(place, length)
+        self._weighted: Array | None = None  # splines, kept for the next signals
+        first, last = int(self._used[0]), int(self._used[-1])
+        self._span = slice(first, last + 1) if last - first + 1 == len(self._used) else None
+
+    def own(self, p: int) -> slice | NDArray[np.intp]:
+        """The spline p of each group of cells."""
+        span, several = self._span, self._several
+        if span is None:
+            return self._used * several + p
+        return slice(span.start * several + p, (span.stop - 1) * several + p + 1, several)
+
+    def places(self, k: int, count: int) -> NDArray[np.intp]:
+        """Where the samples stand in rows of `count` lengths, in the k-th of them."""
+        places: NDArray[np.intp] = (self._row * count + k) * self._length + self._within
+        return places
+
+    def sums(self, weights: Array, values: Array) -> Array:
+        """Sums of weight b_p y for each group, y m columns, shape (groups, splines, m)."""
+        placed = np.zeros((self._rows * self._length, values.shape[1]))
+        placed[self.places(0, 1)] = values
+        placed = placed.reshape(self._rows, self._length, -1)
+        if self._weighted is None:
+            self._weighted = self._splines([weights * self._polynomials(0, 1.0)])
+        sums = self._weighted @ placed
+        return np.add.reduceat(sums, self._first, axis=0) if self._long else sums
+
+    def values(self, coefficients: Array, orders: Sequence[int], width: float) -> Array:
+        """Derivatives of sums of splines in the places of samples, shape (places, m)."""
+        m, splines = len(coefficients), self._several + DEGREE
+        per_signal, one = coefficients.strides
+        shape, strides = (1 + int(self._group[-1]), splines, m), (one * self._several, one)
+        every = as_strided(coefficients, shape, (*strides, per_signal), writeable=False)
+        is_all = self._span is not None and not self._long
+        own = every[self._span if is_all else self._group]
+        basis = self._splines([self._polynomials(order, width) for order in orders])
+        return (basis.swapaxes(1, 2) @ own).reshape(-1, m)
+
+    def _polynomials(self, order: int, width: float) -> Array:
+        """Derivatives of the six splines of the cell of each sample, shape (6, n)."""
+        factors = np.array([math.perm(k, order) for k in range(order, _WIDTH)])
+        powers = np.empty((_WIDTH - order, len(self.u)))
+        powers[0] = 1.0
+        for k in range(1, len(powers)):
+            np.multiply(powers[k - 1], self.u, out=powers[k])
+        return product(_PIECES[:, order:] * (factors / width**order), powers)
+
+    def _splines(self, each: Sequence[Array]) -> Array:
+        """What samples have for the splines of their cells, in their rows.
+
+        Args:
+            each: For the six splines of a cell, shape (6, n).
+
+        Returns:
+            Shape (rows, splines, len(each) * length); 0 beside the six splines.
+        """
+        splines, long = self._several + DEGREE, len(each) * self._length
+        found = np.zeros(self._rows * splines * long)
+        base = (self._row * splines + self._offset) * long + self._within
+        for k, values in enumerate(each):
+            at = base + k * self._length
+            for own in values:
+                found[at] = own
+                at += long
+        return found.reshape(self._rows, splines, long)

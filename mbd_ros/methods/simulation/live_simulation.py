@@ -1,0 +1,396 @@
+"""A simulation that is stepped tick by tick while commands come in."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.contracts import FrictionCone, Now, Output, Wrench
+from mbd_ros.core.dynamics.output_values import Showing
+from mbd_ros.core.dynamics.system import during, phase_names, phased
+from mbd_ros.core.kinematics.poses import POSE, TWIST, with_sign_of, world_pose
+from mbd_ros.core.model.robot import Base, Joint, Robot
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import SAME_TIME
+from mbd_ros.errors import DivergedError, MbdError, ModelError, SolveError
+from mbd_ros.methods.projection.assembly import Violation, violation
+from mbd_ros.methods.simulation.checked_steps import last_finite
+from mbd_ros.methods.simulation.simulation import Simulation, seen_at
+
+if TYPE_CHECKING:
+    from mbd_ros.methods.events.event import Event
+    from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+    from mbd_ros.methods.simulation.noisy_sensors import NoisySensors
+
+
+# ---- command watch ----------------------------------------------------------------------------
+# The command in force: the last one, or the safe one when no other comes.
+
+
+_ROUNDING = 1.0e-9  # s
+
+
+class CommandWatch:
+    """Holds the last command and hands over to the safe one after `timeout`, within `ramp`.
+
+        u = (1 - weight) held + weight safe
+
+    The weight never jumps, so that neither the hand-over nor the return is a bump. All times are
+    those of the simulation: while it stands, nothing times out. The safe command acts before the
+    first one; a first command within `timeout` acts at once.
+
+    Args:
+        timeout: How long a command is held without a successor [s], > 0.
+        ramp: Duration of the hand-over [s], >= 0.
+
+    Attributes:
+        timeout: See above; may change at any time.
+        ramp: See above; may change at any time.
+        held: The last command, shape (nu,); None before the first.
+        weight: Share of the safe command, 0 .. 1.
+        age: Time since the last command, or since the start [s].
+        received: Commands taken.
+        superseded: Those of them that another one replaced before a tick used them.
+    """
+
+    def __init__(self, timeout: float, ramp: float) -> None:
+        self.timeout, self.ramp = timeout, ramp
+        self.received = self.superseded = 0
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget the commands; the counts stay."""
+        self.held: Array | None = None
+        self.weight, self.age = 0.0, 0.0
+        self._is_new = False
+
+    def take(self, u: Array) -> None:
+        """A new command, shape (nu,), not to be changed by the caller any more."""
+        self.received += 1
+        self.superseded += self._is_new
+        self.held, self.age, self._is_new = u, 0.0, True
+
+    def begin(self, period: float) -> None:
+        """A tick of that length [s] begins: the weight of the safe command for it."""
+        self._is_new = False
+        step = period / self.ramp if self.ramp > 0.0 else math.inf
+        late = self.age >= self.timeout - _ROUNDING
+        self.weight = min(max(self.weight + (step if late else -step), 0.0), 1.0)
+        self.age += period
+
+    def value(self, safe: Callable[[], Array]) -> Array:
+        """The command of the tick that began: the held one, the safe one, or a mixture.
+
+        Args:
+            safe: Gives the safe command, shape (nu,); is asked only where it takes part.
+        """
+        if self.held is None:
+            return safe()
+        if self.weight == 0.0:
+            return self.held
+        return (1.0 - self.weight) * self.held + self.weight * safe()
+
+    @property
+    def is_safe(self) -> bool:
+        """Whether the safe command takes part."""
+        return self.held is None or self.weight > 0.0
+
+
+# ---- safe command -----------------------------------------------------------------------------
+# The safe command: torques of actuators without a command that can be trusted.
+
+
+TYPES = ("damping", "zero")
+
+
+@dataclass(frozen=True)
+class SafeCommand:
+    """The `safe` section: torque of the actuated joints without a command.
+
+    `damping` is tau = -gain v, held for a step of h. A held damper stronger than the step
+    allows would drive the joints that it should brake; hence the implicit form
+
+        tau = -(1/gain + h S A S')⁻¹ v
+
+    which is -gain v for small steps and at most stops the joints within one. A are the
+    accelerations of unit torques, S picks the actuated joints. `zero` is no torque. It is not the
+    default, since a leg in stance would fall.
+
+    Attributes:
+        type: damping or zero.
+        gain: Of the damping [N·m·s/rad or N·s/m], >= 0, finite.
+    """
+
+    type: str = "damping"
+    gain: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.type not in TYPES:
+            raise ModelError(f"unknown type '{self.type}', accepted: {', '.join(TYPES)}")
+        if not 0.0 <= self.gain < np.inf:
+            raise ModelError(f"gain {self.gain:g} must be finite and >= 0")
+
+    @property
+    def is_zero(self) -> bool:
+        """Whether the torque is always zero."""
+        return self.type == "zero" or self.gain == 0.0
+
+    def torque(self, v: Array, response: Array, step: float) -> Array:
+        """Torque of the actuated joints [N·m or N], shape (n,).
+
+        Args:
+            v: Their velocity [rad/s or m/s], shape (n,).
+            response: S A S': their accelerations per unit torque, shape (n, n).
+            step: How long the torque is held [s].
+        """
+        if self.is_zero:
+            return np.zeros(len(v))
+        compliance: Array = np.eye(len(v)) / self.gain + step * response
+        return np.asarray(-np.linalg.solve(compliance, v), dtype=np.float64)
+
+    def __str__(self) -> str:
+        return f"damping with gain {self.gain:g}" if not self.is_zero else "no torque"
+
+
+# ---- live simulation --------------------------------------------------------------------------
+# A simulation that is stepped tick by tick while commands come in.
+
+
+_NO_TWISTS: Array = np.zeros((0, TWIST))
+
+
+class Snapshot(NamedTuple):
+    """One state of a simulation with the forces that led to it.
+
+    Attributes:
+        t: Time [s].
+        position: Joints in the order of the robot [rad or m], shape (n,).
+        velocity: [rad/s or m/s], shape (n,).
+        acceleration: [rad/s^2 or m/s^2], shape (n,), under the command that ends here.
+        effort: What the actuators exert on each joint [N·m or N], shape (n,).
+        shown: What parts show, multipliers first, see `LiveSimulation.showing`.
+        poses: Of the free bodies in the world, of the signs of the state before, shape (k, 7).
+        twists: Velocity, then angular velocity of the free bodies, in axes of each, shape (k, 6).
+    """
+
+    t: float
+    position: Array
+    velocity: Array
+    acceleration: Array
+    effort: Array
+    shown: Array
+    poses: Array
+    twists: Array
+
+
+class LiveSimulation:
+    """Simulates a scene in ticks; its inputs hold over a tick.
+
+    Args:
+        build: Makes the simulation; `reset` calls it again, so that no history remains and a
+            replay gives the same bits.
+        initial: State of all joints at the start.
+        period: Length of a tick [s], a whole number of steps.
+        watch: Takes the inputs of all actuators, in their order.
+        safe: The safe command of the actuators.
+        heard: Where other inputs stand in u, and what takes them; the others have safe values.
+
+    Attributes:
+        simulation: At work since the last reset.
+        watch: As given.
+        showing: What `Snapshot.shown` holds, and the arrows.
+        now: The newest state; after a divergence the last finite one.
+        events: What happened in the last tick.
+        fault: Why it diverged; empty before.
+
+    Raises:
+        ModelError: The period is no whole number of steps.
+        MbdError: The mechanism cannot be assembled, or its first state is not finite.
+    """
+
+    def __init__(
+        self,
+        build: Callable[[], Simulation],
+        initial: State,
+        period: float,
+        watch: CommandWatch,
+        safe: SafeCommand,
+        heard: Sequence[tuple[slice, CommandWatch]] = (),
+    ) -> None:
+        self._heard = tuple(heard)
+        self._build, self._initial, self._period = build, initial, period
+        self.watch, self._safe = watch, safe
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the initial state, with no memory of anything since."""
+        simulation = self._build()
+        robot, dt = simulation.system.robot, simulation.dt
+        self._count = round(self._period / dt)
+        if self._count < 1 or abs(self._count * dt - self._period) > SAME_TIME * dt:
+            raise ModelError(
+                f"a tick of {self._period:g} s is no whole number of steps of dt {dt:g} s; "
+                "choose another rate or dt"
+            )
+        self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
+        self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
+        commands = simulation.system.loads.commands
+        driven = [robot.joint(name).v for name in commands]
+        self._driven = np.array(driven, dtype=np.intp)
+        self._selection = np.eye(robot.model.nv)[:, self._driven]
+        self.simulation, self.fault, self._steps = simulation, "", 0
+        system, loads = simulation.system, simulation.system.loads
+        self.showing = Showing(system.k, system.layout, (*loads.actuators, *loads.forces))
+        self._felt: FeltReactions | None = None
+        self._commands = sum(len(a.inputs) for a in simulation.system.loads.actuators)
+        for watch in self.watches:
+            watch.restart()
+        self._poses = np.zeros((len(robot.bases), POSE))
+        self.events: tuple[Event, ...] = ()
+        self._y = simulation.start(self._initial)
+        self._x, self._evaluated, self.now = self._observe(self._y, None)
+
+    def tick(self) -> Snapshot:
+        """Advance by one period.
+
+        Raises:
+            DivergedError: The state, or what follows from it, is no longer finite, now or since
+                the last reset. `now` stays.
+            SolveError: The equations have no solution. `now` stays, and so does the fault.
+        """
+        if self.fault:
+            raise DivergedError(f"{self.fault}; reset it first")
+        try:
+            with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
+                for watch in self.watches:
+                    watch.begin(self._period)
+                u = self._inputs()
+                y = self._y
+                for k in range(self._steps + 1, self._steps + self._count + 1):
+                    y = self.simulation.advance(y, u, self._initial.t + k * self.simulation.dt)
+                x, evaluated, now = self._observe(y, u)
+        except (DivergedError, SolveError) as error:
+            self.fault = str(error)
+            raise
+        self._y, self._x, self._evaluated, self.now = y, x, evaluated, now
+        self._steps += self._count
+        self.events = self.simulation.take_events()
+        return now
+
+    @property
+    def watches(self) -> tuple[CommandWatch, ...]:
+        """Everything that takes inputs."""
+        return self.watch, *(watch for _, watch in self._heard)
+
+    @property
+    def phase(self) -> str:
+        """Name of the phase of the newest state; empty where the scene has none."""
+        several = phased(self.simulation.system)
+        return "" if several is None else str(several.phases[several.phase(self._y)].name)
+
+    @property
+    def begun(self) -> list[str]:
+        """Names of the phases that began in the last tick and were another one before."""
+        names, ends = phase_names(self.simulation.system), [e for e in self.events if e.ends_phase]
+        sides = ((one.before.mode[0], one.after.mode[0]) for one in ends)
+        return [names[after] for before, after in sides if after != before]
+
+    def violation(self) -> Violation:
+        """How far the newest state is off the bilateral rows."""
+        return violation(during(self.simulation.system, self._y), self._y)
+
+    def wrenches(self) -> list[Wrench]:
+        """The arrows of `showing` at the newest state."""
+        return self.showing.wrenches(self._x, *self._evaluated)
+
+    def cones(self) -> list[FrictionCone]:
+        """The friction cones of `showing` at the newest state."""
+        return self.showing.cones_at(self._x, *self._evaluated)
+
+    def measured(self, sensors: "NoisySensors", sample: int) -> list[Array]:
+        """What each sensor tells of the newest state.
+
+        Args:
+            sensors: With their noise.
+            sample: Number of the sample since the start.
+        """
+        u, a, lam = self._evaluated
+        system, reactions = self.simulation.system, None
+        if sensors.needs_reactions:
+            if self._felt is None:
+                from mbd_ros.methods.inverse_dynamics import reactions as felt_reactions
+
+                self._felt = felt_reactions.FeltReactions(system)
+            reactions = self._felt.at(self._x, u, a, lam)
+        return sensors.at(system, self._x, Now(a, lam, reactions), sample)
+
+    def _inputs(self) -> Array:
+        """Inputs of this tick, shape (nu,); those of actuators come first."""
+        idle, n = self.simulation.system.loads.idle, self._commands
+        u = idle.copy()
+        if n:
+            u[:n] = self.watch.value(self._safe_command)
+        for at, watch in self._heard:
+            u[at] = watch.value(partial(idle.__getitem__, at))
+        return u
+
+    def _safe_command(self) -> Array:
+        """Safe commands of the actuators."""
+        loads = self.simulation.system.loads
+        return loads.command(self._safe_torque(), self._x)[: self._commands]
+
+    def _safe_torque(self) -> Array:
+        """Safe torque of the actuated joints, shape (nu,)."""
+        v = self._x.v[self._driven]
+        if self._safe.is_zero:
+            return np.zeros(len(v))
+        now = self.simulation.system.evaluate(self._x)
+        response = now.respond(self._selection)[self._driven]
+        return self._safe.torque(v, response, self._period)
+
+    def _observe(
+        self, y: State, u: Array | None
+    ) -> tuple[State, tuple[Array, Array, Array], Snapshot]:
+        """State of all joints; inputs, accelerations and multipliers there; what is shown."""
+        system = self.simulation.system
+        x = system.expand(y)
+        a, lam, _ = seen_at(self.simulation, x, u, self.simulation.stepper.forces)
+        effort = system.loads.actuator_torque(system.k, x, u)
+        evaluated = system.loads.inputs(x, u), a, lam
+        shown = self.showing.at(x, *evaluated)
+        bodies = _bodies(system.robot, x, self._poses)
+        joints = x.q[self._q], x.v[self._v], a[self._v], effort[self._v]
+        now = Snapshot(x.t, *joints, shown, *bodies)
+        for name, values in zip(now._fields[1:], now[1:], strict=True):
+            if values.size and not np.isfinite(values).all():
+                raise _not_finite(self, name, values, y)
+        self._poses = now.poses
+        return x, evaluated, now
+
+
+def _bodies(robot: Robot, x: State, before: Array) -> tuple[Array, Array]:
+    """Poses and twists of the free bodies at a state of all joints."""
+    if not robot.bases:
+        return before, _NO_TWISTS
+    poses = [world_pose(robot, x.q[base.q]) for base in robot.bases]
+    signed = [with_sign_of(*pair) for pair in zip(before, poses, strict=True)]
+    return np.array(signed), np.array([x.v[base.v] for base in robot.bases])
+
+
+def _not_finite(live: LiveSimulation, name: str, values: Array, y: State) -> MbdError:
+    """The error that names what is lost, and the last finite state if there is one."""
+    system = live.simulation.system
+    things: Sequence[Output | Joint | Base] = system.robot.joints
+    if name == "shown":
+        things = live.showing.numbers
+    elif name in ("poses", "twists"):
+        things = system.robot.bases
+    rows = values.reshape(len(things), -1)
+    lost = ", ".join(
+        thing.name for thing, row in zip(things, rows, strict=True) if not np.isfinite(row).all()
+    )
+    kept = last_finite(system, live._y)
+    return DivergedError(f"diverged at t = {y.t:.9g} s: {name} of {lost} not finite; {kept}")
