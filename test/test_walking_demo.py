@@ -78,6 +78,7 @@ def test_times_and_laws_are_for_robots(tmp_path, capsys):
 
 
 def test_it_needs_no_ros():
-    code = f"import sys, mbd_ros.applications.demo.walking.run; print([m for m in {ROS} if m in sys.modules])"
+    code = "import sys, mbd_ros.applications.demo.walking.run; "
+    code += f"print([m for m in {ROS} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"

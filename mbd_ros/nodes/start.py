@@ -26,6 +26,8 @@ def start_node(name: str) -> int:
 
 
 def end_on(numbers: tuple[signal.Signals, ...], code: int) -> None:
+    """End this process with an exit code at the first of these signals."""
+
     def end(number: int, frame: FrameType | None) -> None:
         os._exit(code)
 

@@ -32,7 +32,7 @@ from mbd_ros.optimal_control.unknowns import Unknowns
 
 # Limits of contacts whose points share forces in ways that no equation tells.
 #
-# A motion determines sums of multipliers alone that are zero for all multipliers which push nothing.
+# A motion determines only sums of multipliers that are zero for all multipliers that push nothing.
 # Of a foot on several points these are its normal force, its friction and the moments about its
 # edges; of a heel and a toe the friction of both.
 

@@ -125,7 +125,7 @@ class CompiledSystem:
         return parts[0]._replace(rates=parts[1] if self._has_internals else None)
 
     def balance(self, whole: Any) -> CompiledBalance:
-        """As `core.dynamics.linearization.Balance`, of this system or of it with internal states."""
+        """As `linearization.Balance`, of this system or of it with internal states."""
         names = "balance", "balance_slopes"
         force, slopes = (self._function(name) for name in names)
         return CompiledBalance(self, force, slopes, whole.nv)

@@ -241,9 +241,10 @@ def _projected(shares: _Shares, basis: Array, given: Array, y: Array) -> Array |
 # Ways to impulses of contacts with friction, from the fastest to the one that finds most.
 #
 # Newton's method begins with the impulses of an earlier step, or none. Where it does not end, it
-# follows the answers of A + s I from s = 1 to 0. Then sweeps over the contacts, each solved exactly
-# by itself, and then random impulses give it a start. Source: V. Acary, M. Brémond, O. Huber, On
-# solving contact problems with Coulomb friction: formulations and numerical comparisons, 2017.
+# follows the answers of A + s I from s = 1 to 0. Then sweeps over the contacts, each solved
+# exactly by itself, and then random impulses give it a start. Source: V. Acary, M. Brémond,
+# O. Huber, On solving contact problems with Coulomb friction: formulations
+# and numerical comparisons, 2017.
 
 _STEPS, _HALVINGS = 20, 4
 _MANY = 200  # steps from the best impulses

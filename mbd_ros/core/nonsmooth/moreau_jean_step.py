@@ -44,13 +44,13 @@ from mbd_ros.errors import DivergedError
 
 # The linear problems of steps in which velocities jump.
 #
-# M and f are those of an intermediate state, at the time theta h with (1 - theta) v + theta v+. One
-# step of Newton's method and a correction solve for v+, with the matrix
+# M and f are those of an intermediate state, at the time theta h with (1 - theta) v + theta v+.
+# One step of Newton's method and a correction solve for v+, with the matrix
 #
 #     K = M - theta h f_v - theta^2 h^2 f_q
 #
-# of the loads, so that stiff ones do not limit h. All rows are in one complementarity problem, with
-# their rates at the end of the step.
+# of the loads, so that stiff ones do not limit h. All rows are in one complementarity problem,
+# with their rates at the end of the step.
 
 # Rows that give way in steps of velocities, what solves for them, and how rows come back.
 

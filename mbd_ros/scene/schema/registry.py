@@ -37,7 +37,7 @@ PARTS: Mapping[str, Mapping[str, str]] = {
         "sliding_mode": "mbd_ros.parts.controllers.sliding_mode:SlidingMode",
         "super_twisting": "mbd_ros.parts.controllers.super_twisting:SuperTwisting",
         "computed_torque": "mbd_ros.parts.controllers.computed_torque:ComputedTorque",
-        "gravity_compensation": "mbd_ros.parts.controllers.gravity_compensation:GravityCompensation",
+        "gravity_compensation": "mbd_ros.parts.controllers.gravity_compensation:GravityCompensation",  # noqa: E501
         "trajectory_tracking": "mbd_ros.parts.controllers.trajectory_tracking:TrajectoryTracking",
         "qp_tracking": "mbd_ros.parts.controllers.qp_tracking:QpTracking",
     },
