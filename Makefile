@@ -96,10 +96,10 @@ soak: venv
 
 # CASES=100000 SEED=1 for more, or the same again; two workers do some 10 000 cases a minute.
 fuzz: venv
-	PYTHONPATH=test $(BIN)/python -m fuzz.run $(if $(CASES),--cases $(CASES)) $(if $(SEED),--seed $(SEED))
+	PYTHONPATH=test/support $(BIN)/python -m fuzz.run $(if $(CASES),--cases $(CASES)) $(if $(SEED),--seed $(SEED))
 
 fuzz-nodes: venv
-	PYTHONPATH=test $(BIN)/python -m fuzz.nodes
+	PYTHONPATH=test/support $(BIN)/python -m fuzz.nodes
 
 bench: venv
 	$(BIN)/python -m mbd_ros.applications.report.bench.forward

@@ -7,13 +7,14 @@ import signal
 from pathlib import Path
 
 import pytest
+from places import ROOT
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as the command line does, before OpenMP is loaded
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # what shells do to background jobs
     signal.signal(signal.SIGINT, signal.default_int_handler)  # processes of tests inherit it
 
 CHROMIUM = ("chromium", "chromium-browser", "google-chrome")
-SCREENSHOTS = Path(__file__).parents[1] / "build" / "screenshots"
+SCREENSHOTS = ROOT / "build" / "screenshots"
 
 gc.disable()  # thousands of tests are made and kept: looking for garbage among them takes longer
 
@@ -41,7 +42,7 @@ def cache_of_the_run(tmp_path_factory):
 @pytest.fixture(scope="session")
 def data_dir():
     """Folder of the recorded data, which is no part of the package."""
-    beside = Path(__file__).parents[2] / "shared" / "data"
+    beside = ROOT.parent / "shared" / "data"
     folder = Path(os.environ.get("MBD_ROS_DATA", beside))
     if not folder.is_dir():
         pytest.skip(f"no recorded data at {folder}: set MBD_ROS_DATA")

@@ -4,16 +4,16 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from places import ROOT
 
 from mbd_ros.cli import main
 from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.scene.reader import load_scene
 
-SCENES = Path(__file__).parents[1] / "config/scenes"
+SCENES = ROOT / "config/scenes"
 FULL = """\
 robot: {{urdf: {urdf}, locked: {{ankle: 0.1}}}}
 couplings: {{knee_slide_x: {{parent: knee, factor: 0.01}}}}

@@ -4,9 +4,9 @@ import signal
 
 import numpy as np
 import pytest
-from nodes.conftest import ROOT
 from nodes.control_client import KINDS, POSE, STEP, controlled, gone_safe, said
 from nodes.simulation_client import ARM, JOINTS
+from places import ROOT
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger

@@ -5,9 +5,9 @@ import re
 import numpy as np
 import pytest
 import yaml
+from demo import LAM, Task
 from nodes.demo_command import demo
 from scipy.interpolate import BPoly
-from test_demo import LAM, Task
 
 from mbd_ros.applications.demo.files import GAINS, MASS_SCALE, PLANT, RATE
 from mbd_ros.applications.demo.task import ROBOTS

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 import rclpy
-from nodes.conftest import DEADLINE, Probe
 from nodes.demo_command import command
+from nodes.node_process import DEADLINE
+from nodes.probe import Probe
 from rclpy.context import Context
 from rosgraph_msgs.msg import Clock
 

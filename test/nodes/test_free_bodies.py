@@ -8,8 +8,8 @@ import pytest
 from geometry_msgs.msg import WrenchStamped
 from mechanisms import floating_body
 from nav_msgs.msg import Odometry
-from nodes.conftest import NodeProcess
 from nodes.joint_stream import ACTIVE, parameter_file
+from nodes.node_process import NodeProcess
 from nodes.simulation_client import DEEP, simulated
 from sensor_msgs.msg import JointState
 

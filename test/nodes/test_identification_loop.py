@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 from identification_data import others, recording
-from nodes.conftest import ROOT
 from nodes.relay import started
 from nodes.simulation_client import DEEP, QuickProbe, simulated
+from places import ROOT
 from sensor_msgs.msg import JointState
 
 from mbd_ros.cli import main

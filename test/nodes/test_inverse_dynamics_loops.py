@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
+from inverse_dynamics_streams import motion, offline, play
 from nodes.joint_stream import SCENES, live
-from nodes.test_inverse_dynamics_streams import motion, offline, play
 from sensor_msgs.msg import JointState
 
 from mbd_ros.jobs.domain_claim import claimed_domain

@@ -5,16 +5,17 @@ import time
 
 import numpy as np
 import pytest
-from nodes.conftest import ROOT, NodeProcess
-from nodes.joint_stream import ACTIVE, DEEP, MS, SCENES, TARGET, WrenchStream, live
+from inverse_dynamics_streams import motion, offline, play
+from nodes.joint_stream import ACTIVE, DEEP, SCENES, TARGET, WrenchStream, live
+from nodes.node_process import NodeProcess
+from places import ROOT
 from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import JointState
 
 from mbd_ros.jobs.domain_claim import claimed_domain
-from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
+from mbd_ros.methods.inverse_dynamics.torque_estimator import TorqueEstimator, Tuning
 from msg_adapters.diagnostics import OK, STALE, WARN
 from msg_adapters.joint_state import write_joint_state
-from msg_adapters.time import read_time
 
 ARM = SCENES / "prosthetic_arm.yaml"
 LOAD = np.array([30.0, -20.0, 700.0, 4.0, -60.0, 2.0])
@@ -25,51 +26,6 @@ def arm(tmp_path_factory):
     folder = tmp_path_factory.mktemp("arm")
     with claimed_domain() as own, live(own, folder, ARM, timeout=5.0) as stream:
         yield stream
-
-
-def motion(count, size, seed=7):
-    """A smooth motion with jittering stamps: offsets [ns], position, velocity."""
-    random = np.random.default_rng(seed)
-    offsets = np.cumsum(random.integers(2 * MS, 9 * MS, count))
-    t = offsets[:, None] * 1e-9
-    w = 2 * np.pi * random.uniform(0.3, 1.0, size)
-    reach = random.uniform(0.05, 0.2, size)
-    return offsets, 0.3 + reach * np.sin(w * t), reach * w * np.cos(w * t)
-
-
-def play(stream, offsets, message):
-    """Answers to `message(i, stamp)` for every offset, one at a time from empty filters."""
-    stream.reset()
-    begin = stream.begin
-    for i, offset in enumerate(offsets.tolist()):
-        stream.publish(message(i, begin + offset))
-        stream.answers(i + 1)
-    stamps = [read_time(answer.header.stamp) - begin for answer in stream.torques]
-    assert stamps == offsets.tolist()
-    if stream.scene.couplings.dependent:
-        stream.probe.spin_until(lambda: len(stream.forces) == len(stream.torques))
-    return efforts(stream.torques), efforts(stream.forces)
-
-
-def efforts(messages):
-    """Efforts of messages as one array."""
-    return np.array([message.effort for message in messages])
-
-
-def offline(scene, offsets, position, velocity, tuning=None):
-    """What the estimator gives for the same samples in one process."""
-    estimator = TorqueEstimator(scene.robot, scene.inverse_dynamics(), tuning or Tuning())
-    n, everywhere = len(scene.couplings.dependent), np.ones(len(estimator.names), dtype=bool)
-    everywhere[len(everywhere) - n :] = False
-    tau, multipliers = [], []
-    for offset, q, v in zip(offsets.tolist(), position, velocity, strict=True):
-        absent = np.full(n, np.nan)
-        x = estimator.observe(offset, np.r_[q, absent], np.r_[v, absent], everywhere)
-        assert isinstance(x, Observation)
-        torques = estimator.solve(x)
-        tau.append(torques.tau.copy())
-        multipliers.append(torques.multipliers.copy())
-    return np.array(tau), np.array(multipliers)
 
 
 # ---------------------------------------------------------------------- order and estimate

@@ -9,16 +9,18 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from nodes.conftest import ROOT, NodeProcess, Probe
 from nodes.joint_stream import ACTIVE, MS, parameter_file
+from nodes.node_process import NodeProcess
+from nodes.probe import Probe
 from nodes.simulation_client import DEEP
+from places import ROOT
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
+from state_projection import FOUR_BAR, LEG, SCENES, measured, nearest_in_z, projector
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
-from test_state_projection import FOUR_BAR, LEG, SCENES, measured, nearest_in_z, projector
 
 from mbd_ros.files.bags.bags import raw_messages
 from mbd_ros.jobs.domain_claim import claimed_domain

@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from nodes.conftest import DEADLINE, ROOT
+from nodes.node_process import DEADLINE
+from places import ROOT
 from sensor_msgs.msg import JointState
 
 NEEDED = ("launch.actions", "launch_ros.actions", "ros2launch")

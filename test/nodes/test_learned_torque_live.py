@@ -4,8 +4,8 @@ import time
 
 import numpy as np
 import pytest
+from learned_torque import content
 from nodes.joint_stream import live
-from test_learned_torque import content
 
 import mbd_ros as mbd
 from msg_adapters.diagnostics import WARN

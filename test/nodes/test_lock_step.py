@@ -9,9 +9,10 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from nodes.conftest import DEADLINE, ROOT
+from nodes.node_process import DEADLINE
 from nodes.relay import REMAPPED, Relay, ended, started
 from nodes.simulation_client import ARM, NAME, PENDULUM, QuickProbe, simulated
+from places import ROOT
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout

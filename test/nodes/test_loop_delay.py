@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from nodes.conftest import ROOT
 from nodes.relay import REMAPPED, Relay, ended, started
 from nodes.simulation_client import NAME, simulated
+from places import ROOT
 
 from msg_adapters.diagnostics import ERROR, OK
 from msg_adapters.time import NANOSECONDS

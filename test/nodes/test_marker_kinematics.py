@@ -6,8 +6,9 @@ import time
 
 import numpy as np
 import pytest
-from nodes.conftest import NodeProcess, Probe
 from nodes.joint_stream import ACTIVE, MS, parameter_file
+from nodes.node_process import NodeProcess
+from nodes.probe import Probe
 from nodes.simulation_client import DEEP
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray

@@ -11,8 +11,8 @@ from typing import get_origin
 
 import pytest
 import yaml
-from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE
+from places import ROOT
 
 from mbd_ros.cli import main
 from mbd_ros.features.control.loop_watch import ChatterMeter

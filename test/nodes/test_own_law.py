@@ -7,9 +7,10 @@ from importlib import import_module
 import numpy as np
 import pytest
 import yaml
-from nodes.conftest import DEADLINE, ROOT
 from nodes.control_client import controlled
+from nodes.node_process import DEADLINE
 from nodes.simulation_client import NAME, simulated
+from places import ROOT
 from rcl_interfaces.srv import DescribeParameters, GetParameters
 
 from mbd_ros.core.state import State

@@ -1,8 +1,8 @@
 """Parameters of the real nodes as `ros2 param` sees and sets them."""
 
 import pytest
-from nodes.conftest import ROOT
 from nodes.simulation_client import ARM, PENDULUM
+from places import ROOT
 from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from std_msgs.msg import String

@@ -5,8 +5,8 @@ import sys
 import numpy as np
 import parts_of_pages
 import pytest
-from nodes.conftest import ROOT
 from nodes.simulation_client import DEEP, NAME, simulated
+from places import ROOT
 from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.loads.inputs import HeldTable

@@ -9,8 +9,9 @@ import pinocchio as pin
 import pytest
 from geometry_msgs.msg import InertiaStamped
 from identification_data import fourier
-from nodes.conftest import NodeProcess, Probe
 from nodes.joint_stream import ACTIVE, MS, parameter_file
+from nodes.node_process import NodeProcess
+from nodes.probe import Probe
 from nodes.simulation_client import DEEP
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray

@@ -4,8 +4,8 @@ import signal
 import time
 
 import pytest
-from nodes.conftest import ROOT
 from nodes.simulation_client import ARM
+from places import ROOT
 
 SCENE = ROOT / "config/scenes/controlled_arm.yaml"
 NODES = ("inverse_dynamics", "joint_state_projector", "qp_controller", "simulator")

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from nodes.conftest import ROOT
+from places import ROOT
 from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint

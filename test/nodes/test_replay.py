@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from mechanisms import floating_body
-from nodes.conftest import ROOT
+from places import ROOT
 
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.bags.bags import BagWriter, messages, new_message, topic_types

@@ -5,7 +5,7 @@ import signal
 import time
 
 import pytest
-from nodes.conftest import ROOT
+from places import ROOT
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState

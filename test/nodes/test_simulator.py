@@ -4,11 +4,9 @@ import math
 import signal
 import sys
 import time
-from pathlib import Path
 
 import numpy as np
 import pytest
-from nodes.conftest import ROOT
 from nodes.simulation_client import (
     ARM,
     DEEP,
@@ -21,6 +19,7 @@ from nodes.simulation_client import (
     swinging,
 )
 from nodes.timer_node import LINE
+from places import ROOT
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
@@ -33,7 +32,7 @@ from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import read_joint_state, write_joint_state
 from msg_adapters.multi_array import write_multi_array
 
-TIMER = Path(__file__).with_name("timer_node.py")
+TIMER = ROOT / "test/support/nodes/timer_node.py"
 TICK = 1e-3
 MS = 1_000_000
 METRES_PER_NEWTON = 0.02

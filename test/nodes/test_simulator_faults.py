@@ -8,7 +8,6 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from nodes.conftest import ROOT
 from nodes.simulation_client import (
     ARM,
     DEEP,
@@ -18,6 +17,7 @@ from nodes.simulation_client import (
     TARGET,
     simulated,
 )
+from places import ROOT
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String

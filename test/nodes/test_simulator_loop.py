@@ -5,8 +5,8 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from nodes.conftest import NodeProcess
 from nodes.joint_stream import ACTIVE, MS, parameter_file
+from nodes.node_process import NodeProcess
 from nodes.simulation_client import ARM, DAMPED, DEEP, simulated, streamed, swinging
 from sensor_msgs.msg import JointState
 

@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 import pytest
-from nodes.conftest import ROOT
+from places import ROOT
 
 from mbd_ros.scene.reader import load_scene
 

@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from geometry_msgs.msg import Vector3
-from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.simulation_client import DEEP
+from places import ROOT
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 

@@ -3,9 +3,9 @@
 import cart_pole
 import numpy as np
 import pytest
-from nodes.conftest import ROOT
 from nodes.control_client import controlled
 from nodes.simulation_client import NAME, simulated
+from places import ROOT
 
 from mbd_ros import scene_from
 from mbd_ros.files.table import MAIN, Column, Result, Table

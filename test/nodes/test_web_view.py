@@ -3,15 +3,14 @@
 import math
 import re
 import signal
-import socket
 import time
 from collections import Counter
 
 import numpy as np
 import pytest
 from geometry_msgs.msg import Point, WrenchStamped
-from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE
+from places import ROOT
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import Marker, MarkerArray
 
@@ -19,6 +18,7 @@ pytest.importorskip("viser", reason="viser is not installed")
 
 from nodes.page_client import PageClient
 from viser import _messages
+from web_view import free_port
 from websockets.exceptions import InvalidStatus
 
 from mbd_ros.scene.reader import load_scene
@@ -28,12 +28,6 @@ NAME = "/web_view"
 TARGET = ("-m", "mbd_ros.nodes", "web_view")
 ARM = ROOT / "config/scenes/arm7.yaml"
 JOINTS = [f"joint{i}" for i in range(1, 8)]
-
-
-def free_port():
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        return taken.getsockname()[1]
 
 
 @pytest.fixture

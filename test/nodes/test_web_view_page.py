@@ -4,11 +4,11 @@ import re
 
 import numpy as np
 import pytest
-from browser.test_view_page import EVIL, NOTICE, evil_arm, orange, pixels, red, settled
 from geometry_msgs.msg import WrenchStamped
-from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE
-from nodes.test_web_view import free_port
+from places import ROOT
+from view_page import EVIL, NOTICE, evil_arm, orange, pixels, red, settled
+from web_view import free_port
 
 from msg_adapters.wrench import read_wrench
 

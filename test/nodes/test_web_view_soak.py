@@ -7,9 +7,9 @@ from contextlib import suppress
 from pathlib import Path
 
 import pytest
-from nodes.conftest import ROOT
 from nodes.joint_stream import ACTIVE
-from nodes.test_web_view import free_port
+from places import ROOT
+from web_view import free_port
 
 pytest.importorskip("viser", reason="viser is not installed")
 

@@ -1,0 +1,91 @@
+"""A node of the tests, in a process of its own."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from nodes.warm_start import can_start, warm_start
+from places import ROOT
+
+PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
+DEADLINE = 30.0  # s, of what takes a moment: a busy machine is no failure
+
+
+class NodeProcess:
+    """A node in a process of its own; what it logs is collected while it runs."""
+
+    def __init__(self, command: Sequence[str], domain: int) -> None:
+        path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
+        environment = {
+            **os.environ,
+            "ROS_DOMAIN_ID": str(domain),
+            "PYTHONPATH": path,
+        }
+        del environment[PROFILES]
+        self.process: Any
+        if command[0] == sys.executable and can_start(command[1:]):
+            self.process = warm_start(str(ROOT)).start(command[1:], environment)
+        else:
+            self.process = subprocess.Popen(
+                command,
+                env=environment,
+                stdout=subprocess.DEVNULL,
+                stderr=subprocess.PIPE,
+                text=True,
+            )
+        self._lines: list[str] = []
+        self._reader = threading.Thread(target=self._read, daemon=True)
+        self._reader.start()
+
+    @property
+    def pid(self) -> int:
+        """Process id."""
+        return self.process.pid
+
+    @property
+    def log(self) -> str:
+        """Everything written to stderr until now."""
+        return "".join(self._lines)
+
+    def wait_for(self, text: str, timeout: float = DEADLINE) -> None:
+        """Return when `text` was logged.
+
+        Raises:
+            AssertionError: It was not, within `timeout` [s] or the life of the process.
+        """
+        end = time.monotonic() + timeout
+        while text not in self.log:
+            alive = self.process.poll() is None and time.monotonic() < end
+            assert alive or text in self.log, f"never logged {text!r}:\n{self.log}"
+            time.sleep(0.01)
+
+    def wait(self, timeout: float = DEADLINE) -> int:
+        """Exit code, once the process has ended by itself."""
+        code = self.process.wait(timeout)
+        self._reader.join(timeout)
+        return code
+
+    def stop(self, number: int = signal.SIGINT, timeout: float = DEADLINE) -> int:
+        """Exit code after a signal."""
+        self.process.send_signal(number)
+        return self.wait(timeout)
+
+    def cpu_seconds(self) -> float:
+        """User and system time used so far [s]."""
+        fields = Path(f"/proc/{self.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def held_up(self) -> float:
+        """For how long its main thread and that of the test were ready, but others ran [s]."""
+        files = [Path(f"/proc/{pid}/schedstat") for pid in (self.pid, os.getpid())]
+        return sum(int(f.read_text().split()[1]) * 1e-9 for f in files if f.exists())
+
+    def _read(self) -> None:
+        assert self.process.stderr is not None
+        self._lines.extend(self.process.stderr)
