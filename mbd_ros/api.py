@@ -22,7 +22,7 @@ from mbd_ros.features.muscles.moment_arms.job import moment_arms
 from mbd_ros.features.prediction.job import predict
 from mbd_ros.features.sampling.job import sample
 from mbd_ros.features.simulation.job import simulate
-from mbd_ros.files.formats import read_result as read_result
+from mbd_ros.files.table import read_result as read_result
 from mbd_ros.scene import built_scene, from_python, reader
 from mbd_ros.scene.reading.building import Origin
 from mbd_ros.scene.schema.code_permission import permitting

@@ -1,23 +1,18 @@
-"""Pictures of tables and of power that flows."""
+"""Pictures of tables: a panel for each quantity, a curve for each column; writes only."""
 
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import PICTURES
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
-
-# ---- plot -------------------------------------------------------------------------------------
-# Pictures of tables: a panel for each quantity, a curve for each column; writes only.
-
 
 _PANEL, _WIDTH, _EDGE = 1.7, 8.0, 0.6  # in
 _DPI = 110  # per in
@@ -30,18 +25,6 @@ _LATER = (  # drawn where they are asked for
 _COMPONENT = re.compile(r"(force|torque|multiplier|.+(?=_q?[xyzw]$))(?:_(.+))?")
 _AXES = ("x", "y", "z", "w")
 _MOST = 24  # panels
-
-
-class Picture(Figure):
-    """A figure that a notebook shows without pyplot."""
-
-    def _repr_png_(self) -> bytes:
-        from io import BytesIO
-
-        FigureCanvasAgg(self)
-        drawn = BytesIO()
-        self.savefig(drawn, format="png", dpi=_DPI)
-        return drawn.getvalue()
 
 
 class Plot:
@@ -66,6 +49,16 @@ class Plot:
         """Draw a table; see `figure`."""
         ((name, _),) = result.tables.items()
         save(figure(result, table=name, columns=columns), path)
+
+    def figure(
+        self, result: Result, table: str = MAIN, columns: Sequence[str] | None = None
+    ) -> "Picture":
+        """Draw a table and write nothing; see `figure`."""
+        return figure(result, table, columns)
+
+    def save(self, picture: Figure, path: Path) -> None:
+        """Write what `figure` drew."""
+        save(picture, path)
 
 
 def figure(result: Result, table: str = MAIN, columns: Sequence[str] | None = None) -> "Picture":
@@ -103,6 +96,18 @@ def figure(result: Result, table: str = MAIN, columns: Sequence[str] | None = No
                 text.set_parse_math(False)
     grid[-1, 0].set_xlabel("time [s]" if TIME in drawn else "row", fontsize=8)
     return picture
+
+
+class Picture(Figure):
+    """A figure that a notebook shows without pyplot."""
+
+    def _repr_png_(self) -> bytes:
+        from io import BytesIO
+
+        FigureCanvasAgg(self)
+        drawn = BytesIO()
+        self.savefig(drawn, format="png", dpi=_DPI)
+        return drawn.getvalue()
 
 
 def save(picture: Figure, path: Path) -> None:
@@ -160,134 +165,3 @@ def _curve(column: Column) -> str:
     component = quantity.removeprefix(whole).lstrip("_")
     name = " ".join(filter(None, (part, component))) or column.name
     return f" {name}" if name.startswith("_") else name  # matplotlib hides labels that begin so
-
-
-# ---- power flow -------------------------------------------------------------------------------
-# Pictures of power that flows from segment to segment: bands as wide as it, over time.
-#
-# A joint has three bands: what the segment before it gives, what acts in the joint, what the next
-# segment takes. What comes out of a rigid segment at its far end, and was not made there, came in
-# at
-# its near end.
-
-
-_LANE, _POWER_FLOW_WIDTH, _POWER_FLOW_EDGE = 0.42, 9.0, 1.0  # in
-_HIGH = 0.46  # of a lane: half a band of the largest power
-_TAKEN, _GIVEN = ".proximal_power", ".distal_power_"
-_OUTWARDS, _INWARDS, _MADE, _LOST = "#c4553b", "#3b6fc4", "#2f8f4e", "#8a8a8a"
-_MEANING = (
-    ("towards the next segment", _OUTWARDS),
-    ("towards the one before", _INWARDS),
-    ("made in the joint", _MADE),
-    ("taken by the joint", _LOST),
-)
-_POWER_FLOW_MOST = 60  # lanes
-
-
-class Lane(NamedTuple):
-    """One band.
-
-    Attributes:
-        text: What it is.
-        power: [W], shape (n,): positive outwards, or made.
-        colours: Where it is positive, where negative.
-        segment: On whose ground it is drawn; empty between two.
-    """
-
-    text: str
-    power: Array
-    colours: tuple[str, str]
-    segment: str
-
-
-def power_flow(result: Result, table: str = MAIN) -> Picture:
-    """Bands of power over time.
-
-    Args:
-        result: Of inverse dynamics with powers.
-        table: Which of its tables.
-
-    Raises:
-        DataError: There are no powers of segments, or too many.
-    """
-    drawn = result[table]
-    lanes = lanes_of(drawn)
-    largest = max((float(np.abs(lane.power).max(initial=0.0)) for lane in lanes), default=0.0)
-    picture = Picture(
-        figsize=(_POWER_FLOW_WIDTH, len(lanes) * _LANE + _POWER_FLOW_EDGE), layout="constrained"
-    )
-    FigureCanvasAgg(picture)
-    axes: Any = picture.subplots()
-    time = drawn[TIME]
-    for row, lane in enumerate(lanes):
-        _draw(axes, time, -float(row), lane, _HIGH / (largest or 1.0))
-    axes.set_yticks([-float(row) for row in range(len(lanes))], [lane.text for lane in lanes])
-    work = [f"{_work(time, lane.power):+.3g} J" for lane in lanes]
-    other: Any = axes.secondary_yaxis("right")
-    other.set_yticks([-float(row) for row in range(len(lanes))], work)
-    for each in (axes, other):
-        each.tick_params(labelsize=7, length=0)
-    axes.set_ylim(-len(lanes) + 0.4, 0.6)
-    axes.set_xlim(float(time[0]), float(time[-1]))
-    axes.set_xlabel(f"time [s]; the widest band is {largest:.4g} W", fontsize=8)
-    shown = [axes.fill_between([], [], [], color=colour) for _, colour in _MEANING]
-    words = [text for text, _ in _MEANING]
-    picture.legend(shown, words, loc="outside upper center", ncols=4, fontsize=7)
-    return picture
-
-
-def lanes_of(table: Table) -> list[Lane]:
-    """Bands from the root outwards, limb by limb.
-
-    Raises:
-        DataError: There are no powers of segments, or too many.
-    """
-    taken = [name.removesuffix(_TAKEN) for name in table if name.endswith(_TAKEN)]
-    if not taken:
-        raise DataError("no column *.proximal_power; accepted: a result of inverse --power")
-    before = {}
-    for name in table:
-        segment, found, following = name.partition(_GIVEN)
-        if found:
-            before[following] = segment
-    lanes: list[Lane] = []
-    for root in (name for name in taken if name not in before):
-        power = table[root + _TAKEN]
-        lanes.append(Lane(f"the world to {root}", power, (_OUTWARDS, _INWARDS), root))
-        lanes += _beyond(table, root, before)
-    if len(lanes) > _POWER_FLOW_MOST:
-        raise DataError(
-            f"{len(lanes)} bands are too many for a picture; accepted: {_POWER_FLOW_MOST}"
-        )
-    return lanes
-
-
-def _beyond(table: Table, segment: str, before: dict[str, str]) -> list[Lane]:
-    """Bands of all that a segment carries."""
-    lanes: list[Lane] = []
-    for following in [name for name, parent in before.items() if parent == segment]:
-        given = -table[f"{segment}{_GIVEN}{following}"]
-        taken = table[following + _TAKEN]
-        flow = _OUTWARDS, _INWARDS
-        lanes += [
-            Lane(f"{segment} to the joint of {following}", given, flow, segment),
-            Lane(f"joint of {following}", taken - given, (_MADE, _LOST), ""),
-            Lane(f"into {following}", taken, flow, following),
-        ]
-        lanes += _beyond(table, following, before)
-    return lanes
-
-
-def _draw(axes: Any, time: Array, at: float, lane: Lane, scale: float) -> None:
-    if lane.segment:
-        axes.axhspan(at - 0.5, at + 0.5, color="#000000", alpha=0.045, lw=0)
-    axes.axhline(at, color="#000000", alpha=0.25, lw=0.4)
-    wide = np.abs(lane.power) * scale
-    for is_there, colour in zip((lane.power >= 0.0, lane.power < 0.0), lane.colours, strict=True):
-        half = np.where(is_there, wide, 0.0)
-        axes.fill_between(time, at - half, at + half, color=colour, lw=0)
-
-
-def _work(time: Array, power: Array) -> float:
-    """Integral over time, by trapezoids [J]."""
-    return float(np.sum(0.5 * (power[1:] + power[:-1]) * np.diff(time)))

@@ -1,22 +1,28 @@
-"""The result of every job: tables by name, columns with name, unit, frame and any shape."""
+"""The result of every job: tables by name, columns with name, unit, frame and any shape.
+
+A result is written to and read from files; the suffix of a path chooses the format. Columns `time`
+[s] and, where seconds as floats cannot tell nanoseconds apart, `stamp` [ns] say when a row was.
+"""
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError, install_hint
-
-# ---- table ------------------------------------------------------------------------------------
-# The result of every job: tables by name, columns with name, unit, frame and any shape.
-
+from mbd_ros.files.formats import format_of, format_with, listed, suffix_of
 
 MAIN = "samples"  # the table that every job has
+TIME, STAMP = "time", "stamp"
+RUN = "run"  # in a table of many runs, its first column
+TIME_LIMIT = 9e9  # s: int64 nanoseconds end at 9.22e9 s
+_HEADER = 1  # lines above the rows of a table
 _LISTED = 4  # tables, and names, in a text
+_SHOWN = 5  # columns, and rows, of each end, in a notebook
 
 
 class Column(NamedTuple):
@@ -95,9 +101,7 @@ class Table(Mapping[str, NDArray[Any]]):
 
     def _repr_html_(self) -> str:
         """First and last rows and columns, for a notebook."""
-        from mbd_ros.files.table_page import table_html
-
-        return table_html(self)
+        return _table_html(self)
 
     @property
     def rows(self) -> int:
@@ -178,26 +182,40 @@ class Result(Mapping[str, Table]):
         return "\n".join([f"Result, tables: {len(self)}", *lines, f"  metadata: {about}"])
 
     def _repr_html_(self) -> str:
-        """Its tables, for a notebook."""
-        from mbd_ros.files.table_page import result_html
+        """The first tables, for a notebook."""
+        shown = list(self.tables.items())[:_LISTED]
+        from html import escape
 
-        return result_html(self)
+        return "".join(f"<h4>{escape(name)}</h4>{_table_html(table)}" for name, table in shown)
 
-    def to(self, path: str | Path, *, among: tuple[str, ...] = (), **options: Any) -> None:
+    def to(self, path: str | Path, *, among: Collection[str] = (), **options: Any) -> None:
         """Write a file; its suffix chooses the format, see `formats`.
 
         Args:
             path: The file, or the folder of a bag.
             among: Suffixes that are accepted; all that are known without any.
-            **options: Those of the format.
+            **options: Those of the format; of one that holds a single table also `table`.
 
         Raises:
             DataError: A suffix that no format has, what the format cannot hold, or a place that
                 cannot be written to; nothing is left behind then.
         """
-        from mbd_ros.files.formats import write_result
-
-        write_result(path, self, among, **options)
+        if among and suffix_of(path) not in among:
+            raise DataError(f"{path}: expected the suffix {listed(among)}")
+        chosen: Format = format_of(path)
+        tables = self.tables
+        if chosen.one_table:
+            name = options.pop("table", MAIN)
+            tables = {name: self[name]}
+        for column in (column for table in tables.values() for column in table.columns):
+            if not chosen.holds(column):
+                shape = " x ".join(map(str, column.values.shape[1:]))
+                kind = f"{column.values.dtype.name}{f' of shape {shape}' if shape else ''}"
+                raise DataError(
+                    f"{path}: column {column.name} is {kind} a row, this format holds "
+                    f"{chosen.content}; .npz and .parquet hold every shape"
+                )
+        chosen.write(Path(path), Result(tables, self.metadata), **options)
 
     def to_csv(self, path: str | Path, **options: Any) -> None:
         """Write a .csv or .csv.gz: scalar columns, no metadata."""
@@ -235,34 +253,49 @@ class Result(Mapping[str, Table]):
 
         Options are those of `mbd_ros.files.plot.figure`: table, columns.
         """
-        from mbd_ros.files.plot import figure, save
-
-        drawn = figure(self, **options)
+        pictures = format_with(".png")
+        drawn = pictures.figure(self, **options)
         if path is not None:
-            save(drawn, Path(path))
+            pictures.save(drawn, Path(path))
         return drawn
 
 
-def _same(one: Column, other: Column) -> bool:
-    a, b = one.values, other.values
-    alike = one[0] == other[0] and one[2:] == other[2:] and a.dtype.kind == b.dtype.kind
-    return alike and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+def read_result(path: str | Path, **options: Any) -> Result:
+    """Return what a file or bag holds.
+
+    Args:
+        path: The file, or the folder of a bag.
+        **options: Those of the format.
+
+    Raises:
+        DataError: An unknown suffix, or what is wrong with the file.
+    """
+    chosen: Format = format_of(path)
+    return chosen.read(Path(path), **options)
 
 
-def _some(names: list[str]) -> str:
-    """The first names of many, cut where they are long."""
-    text = (", ".join(names[:_LISTED]) or "none")[:200]
-    return text + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
+class Format(Protocol):
+    """What reads and writes the files of one suffix; `formats` lists them.
 
+    Attributes:
+        content: What a column may be, for people: `one number a row`.
+        one_table: Whether a file holds a single table: `samples` where nothing else is asked for.
+    """
 
-# ---- times ------------------------------------------------------------------------------------
-# Times of tables: seconds for people, nanoseconds where floats cannot tell them.
+    content: str
+    one_table: bool
 
+    def holds(self, column: Column) -> bool:
+        """Whether a column can be written so that reading gives it back."""
+        ...
 
-TIME, STAMP = "time", "stamp"
-RUN = "run"  # in a table of many runs, its first column
-_HEADER = 1  # lines above the rows of a table
-TIME_LIMIT = 9e9  # s: int64 nanoseconds end at 9.22e9 s
+    def read(self, path: Path, **options: Any) -> Result:
+        """Return what a file holds; DataError names what is wrong with it."""
+        ...
+
+    def write(self, path: Path, result: Result, **options: Any) -> None:
+        """Write columns that it holds; nothing is left behind where that fails."""
+        ...
 
 
 def time_columns(stamps: NDArray[np.int64]) -> list[Column]:
@@ -311,3 +344,40 @@ def motion_stamps(table: Table, where: str) -> NDArray[np.int64]:
         line = np.flatnonzero(np.diff(stamps) <= 0)[0] + _HEADER + 2
         raise DataError(f"{where}: line {line}, column time: less than 1 ns after the last")
     return stamps
+
+
+def _same(one: Column, other: Column) -> bool:
+    a, b = one.values, other.values
+    alike = one[0] == other[0] and one[2:] == other[2:] and a.dtype.kind == b.dtype.kind
+    return alike and np.array_equal(a, b, equal_nan=a.dtype.kind == "f")
+
+
+def _some(names: list[str]) -> str:
+    """The first names of many, cut where they are long."""
+    text = (", ".join(names[:_LISTED]) or "none")[:200]
+    return text + (f" and {len(names) - _LISTED} more" if len(names) > _LISTED else "")
+
+
+def _table_html(table: Table) -> str:
+    """A table element; names are escaped, since they come from files of others."""
+    from html import escape
+
+    def cell(column: Column | None, row: int) -> str:
+        if column is None or row < 0:
+            return "…"
+        value = column.values[row]
+        return escape(f"{value:.6g}" if isinstance(value, np.floating) else str(value))
+
+    columns = [table.columns[i] if i >= 0 else None for i in _ends(len(table.columns))]
+    head = "".join(f"<th>{escape(c.label) if c else '…'}</th>" for c in columns)
+    rows = [[f"<td>{cell(c, i)}</td>" for c in columns] for i in _ends(table.rows)]
+    body = "".join(f"<tr>{''.join(cells)}</tr>" for cells in rows)
+    size = f"<caption>{table.rows} rows, {len(table)} columns</caption>"
+    return f"<table>{size}<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+
+
+def _ends(count: int) -> list[int]:
+    """Numbers of the first and last rows or columns; -1 stands for those between."""
+    if count <= 2 * _SHOWN:
+        return list(range(count))
+    return [*range(_SHOWN), -1, *range(count - _SHOWN, count)]

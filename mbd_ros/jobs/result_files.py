@@ -5,7 +5,7 @@ from pathlib import Path
 
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.files.formats import format_of, suffix_of
-from mbd_ros.files.replacing import refuse_overwriting
+from mbd_ros.files.output_file import refuse_overwriting
 from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.progress import Say
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched

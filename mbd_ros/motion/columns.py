@@ -13,7 +13,7 @@ from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.state import Array, BodyMotion
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import motion_columns, residual_columns
-from mbd_ros.files.recording import SCREEN
+from mbd_ros.files.laboratory.markers import SCREEN
 from mbd_ros.files.table import Column
 from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic
 

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from mbd_ros.core.loads.external_loads import at_stamps
 from mbd_ros.core.state import NANOSECOND, Array, WrenchSamples
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.files.formats import is_bag, read_result
+from mbd_ros.files.formats import is_bag
 from mbd_ros.files.laboratory.external_loads import GROUND, ExternalLoad, read_external_loads
-from mbd_ros.files.recording import SCREEN
-from mbd_ros.files.table import Result
+from mbd_ros.files.laboratory.markers import SCREEN
+from mbd_ros.files.table import Result, read_result
 from mbd_ros.motion.columns import axes_matrix
 from mbd_ros.motion.recordings import Source, name_of, read_wrenches
 from mbd_ros.scene.built_scene import Scene

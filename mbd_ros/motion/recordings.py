@@ -11,10 +11,11 @@ from mbd_ros.core.kinematics.poses import with_steady_signs
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION, POSE, TWIST, names_of
-from mbd_ros.files.formats import format_of, is_bag, read_result
+from mbd_ros.files.formats import format_of, is_bag
+from mbd_ros.files.laboratory.markers import SCREEN
 from mbd_ros.files.laboratory.storage import REMARKS, is_storage, joint_columns, other_labels
-from mbd_ros.files.recording import NO_BODIES, SCREEN, Recording
-from mbd_ros.files.table import MAIN, TIME, Column, Result, Table, motion_stamps
+from mbd_ros.files.recording import NO_BODIES, Recording
+from mbd_ros.files.table import MAIN, TIME, Column, Result, Table, motion_stamps, read_result
 from msg_adapters.odometry import OFF_UNIT
 
 # ---- recordings -------------------------------------------------------------------------------

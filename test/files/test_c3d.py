@@ -8,9 +8,8 @@ import pytest
 
 from mbd_ros.errors import DataError
 from mbd_ros.features.markers.job import turned
-from mbd_ros.files.formats import read_result
-from mbd_ros.files.recording import read_markers
-from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.laboratory.markers import read_markers
+from mbd_ros.files.table import Column, Result, Table, read_result
 from mbd_ros.motion.recordings import read_capture, read_wrenches
 
 CORNERS = np.array([[0.5, 0.9, 0.0], [0.1, 0.9, 0.0], [0.1, 0.3, 0.0], [0.5, 0.3, 0.0]])  # m
@@ -176,7 +175,7 @@ def test_bad_recordings_are_refused(ezc3d, tmp_path):
 def test_without_ezc3d_it_is_said_how_to_install_it(tmp_path):
     program = (
         "import sys; sys.modules['ezc3d'] = None\n"
-        "from mbd_ros.files.formats import read_result\n"
+        "from mbd_ros.files.table import read_result\n"
         f"read_result({str(tmp_path / 'walk.c3d')!r})\n"
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)

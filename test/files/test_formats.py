@@ -13,8 +13,7 @@ from installed_package import install
 from mbd_ros.errors import DataError
 from mbd_ros.files import formats
 from mbd_ros.files.bags.bags import BagWriter, messages, topic_types
-from mbd_ros.files.formats import read_result, write_result
-from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.table import Column, Result, Table, read_result
 from mbd_ros.motion.recordings import read_motion, read_wrenches
 
 BAGS = ("bag", "bag.mcap", "bag.db3")
@@ -250,7 +249,7 @@ def test_a_plot_has_a_panel_a_quantity(result):
 
 def test_formats_are_imported_when_a_path_asks_for_them(tmp_path):
     code = (
-        "import sys; from mbd_ros.files.table import *; from mbd_ros.files.formats import *\n"
+        "import sys; from mbd_ros.files.formats import *; from mbd_ros.files.table import *\n"
         "import numpy as np\n"
         "r = Result({'samples': Table([Column('time', np.arange(3.0))])})\n"
         f"for n in ('o.csv', 'o.npz'): r.to({str(tmp_path)!r} + '/' + n)\n"
@@ -292,7 +291,7 @@ def test_a_format_of_an_installed_package_needs_one_file(tmp_path):
     code = (
         f"import sys; sys.path.insert(0, {str(target)!r})\n"
         "import numpy as np\n"
-        "from mbd_ros.files.table import *; from mbd_ros.files.formats import *\n"
+        "from mbd_ros.files.formats import *; from mbd_ros.files.table import *\n"
         "from mbd_ros.motion.recordings import read_motion\n"
         "place = Column('a.position', np.ones(3), 'rad')\n"
         "t = Table([Column('time', np.arange(3.0), 's'), place])\n"
@@ -314,7 +313,7 @@ def test_a_format_that_cannot_be_imported_is_named(monkeypatch, tmp_path):
     broken = EntryPoint("odd", "no_such_module:Odd", formats.GROUP)
     monkeypatch.setattr(formats, "_installed", lambda: {".odd": broken})
     with pytest.raises(DataError, match="format no_such_module:Odd of .odd cannot be imported"):
-        write_result(tmp_path / "o.odd", Result({"samples": Table([])}))
+        Result({"samples": Table([])}).to(tmp_path / "o.odd")
 
 
 def test_without_pyarrow_the_error_says_what_to_install(tmp_path, result, monkeypatch):

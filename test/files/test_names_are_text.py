@@ -17,7 +17,7 @@ from mbd_ros.applications.demo.page import Content
 from mbd_ros.applications.demo.page import page as demo_page
 from mbd_ros.applications.demo.summary import Table
 from mbd_ros.cli import main
-from mbd_ros.files.formats import read_result
+from mbd_ros.files.table import read_result
 
 NAMES = ("<img src=x onerror=alert(1)>", "<_script><img src=x onerror=alert(2)>", "$\\frac{1$ _a_")
 

@@ -14,8 +14,8 @@ from mbd_ros.errors import DataError
 from mbd_ros.features.inverse_dynamics.job import inverse
 from mbd_ros.features.replay.job import TorqueErrors
 from mbd_ros.features.simulation.job import Interrupted, simulate
-from mbd_ros.files.formats import read_result, suffix_of
-from mbd_ros.files.table import Result, rounded, stamps_of
+from mbd_ros.files.formats import suffix_of
+from mbd_ros.files.table import Result, read_result, rounded, stamps_of
 from mbd_ros.scene.reader import load_scene
 
 SCENES = ROOT / "config/scenes"

@@ -7,8 +7,7 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.files.formats import read_result
-from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.table import Column, Result, Table, read_result
 from mbd_ros.motion.recordings import read_columns, read_motion
 
 HEADER = "Coordinates\nversion=1\nnRows=3\nnColumns=3\ninDegrees={}\n\nUnits are S.I.\nendheader\n"

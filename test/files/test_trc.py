@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.formats import read_result
-from mbd_ros.files.recording import read_markers
-from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.laboratory.markers import read_markers
+from mbd_ros.files.table import Column, Result, Table, read_result
 
 HEAD = (
     "PathFileType\t4\t(X/Y/Z)\twalk.trc\n"

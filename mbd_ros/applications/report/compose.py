@@ -27,7 +27,7 @@ from mbd_ros.applications.report.subjects import Subject, subjects
 from mbd_ros.compiled.build.compiler import cores
 from mbd_ros.errors import FAILED, DataError, MbdError
 from mbd_ros.features.simulation.job import Interrupted, simulate
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.workers.opening import Remaining, Workers, do_all, open_workers, spoken, watched
 from mbd_ros.jobs.workers.task import Result, Task, cpu
 from mbd_ros.scene.reader import load_scene

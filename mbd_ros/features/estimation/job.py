@@ -16,7 +16,7 @@ from mbd_ros.features.estimation.faults import InnovationWatch
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
 from mbd_ros.features.estimation.unknowns import inner
-from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, progress, watching

@@ -22,7 +22,7 @@ from mbd_ros.features.gait.tables import (
     motion_table,
 )
 from mbd_ros.features.gait.task import GaitTask, gait_task
-from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, watching

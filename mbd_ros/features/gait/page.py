@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from mbd_ros.core.state import Array
 from mbd_ros.features.gait.tables import BASIN, BRANCHES, GAITS, MARKS
+from mbd_ros.files.output_file import replacing
 from mbd_ros.files.plot import Picture
-from mbd_ros.files.replacing import replacing
 from mbd_ros.files.table import MAIN, TIME, Result, Table
 
 # Pictures of gaits: portraits, branches, basins.

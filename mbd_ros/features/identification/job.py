@@ -30,7 +30,7 @@ from mbd_ros.features.identification.samples import (
     check_units,
 )
 from mbd_ros.features.identification.task import Identified, Task
-from mbd_ros.files.replacing import refuse_overwriting
+from mbd_ros.files.output_file import refuse_overwriting
 from mbd_ros.files.table import Result, Table
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.motion.recordings import Source

@@ -33,7 +33,7 @@ from mbd_ros.features.identification.regression import Learned, residual
 from mbd_ros.features.identification.regressor import Column
 from mbd_ros.features.identification.samples import Filter, Piece, grid_step
 from mbd_ros.features.identification.task import Identified
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import Column as TableColumn
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.progress import Say

@@ -17,7 +17,7 @@ from mbd_ros.core.state import NANOSECOND, Array, Motion, State
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.formats import is_bag
-from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table, stamps_of, time_columns
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, watching

@@ -22,9 +22,17 @@ from mbd_ros.features.loads.free_body import (
     inertial_load,
 )
 from mbd_ros.features.loads.history import History, Instant, in_slots, instants_of
-from mbd_ros.files.formats import is_bag, read_result
-from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Column, Result, Table, motion_stamps, time_columns
+from mbd_ros.files.formats import is_bag
+from mbd_ros.files.output_file import check_place, refuse_overwriting
+from mbd_ros.files.table import (
+    MAIN,
+    Column,
+    Result,
+    Table,
+    motion_stamps,
+    read_result,
+    time_columns,
+)
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.motion.derivatives import Derivatives

@@ -25,7 +25,7 @@ from mbd_ros.features.markers.marker_kinematics import (
     targets_of,
 )
 from mbd_ros.files.body_columns import motion_columns
-from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say

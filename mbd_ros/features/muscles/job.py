@@ -21,9 +21,16 @@ from mbd_ros.features.muscles.columns import (
 from mbd_ros.features.muscles.static_optimization import Shares, StaticOptimization
 from mbd_ros.features.muscles.task import MusclesTask, muscles_task
 from mbd_ros.features.muscles.trial import Shared, shared_trial
-from mbd_ros.files.formats import read_result
-from mbd_ros.files.replacing import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Column, Result, Table, motion_stamps, time_columns
+from mbd_ros.files.output_file import check_place, refuse_overwriting
+from mbd_ros.files.table import (
+    MAIN,
+    Column,
+    Result,
+    Table,
+    motion_stamps,
+    read_result,
+    time_columns,
+)
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads
 from mbd_ros.methods.inverse_dynamics.reserves import CoordinateReserve

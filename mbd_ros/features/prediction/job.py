@@ -24,7 +24,7 @@ from mbd_ros.features.prediction.tables import (
     start_table,
 )
 from mbd_ros.features.prediction.task import PredictTask, predict_task
-from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.jobs.progress import Say, Watch, say_all, watching
 from mbd_ros.jobs.result_files import beside, write_tables

@@ -13,8 +13,7 @@ from mbd_ros.core.state import NANOSECOND, Array, Motion
 from mbd_ros.errors import DataError, SceneError
 from mbd_ros.features.prediction.modes import Driven, driving_wrenches
 from mbd_ros.features.prediction.task import PredictTask, RecordingTask
-from mbd_ros.files.formats import read_result
-from mbd_ros.files.table import MAIN, TIME
+from mbd_ros.files.table import MAIN, TIME, read_result
 from mbd_ros.methods.signals.opensim_splines import opensim_splines
 from mbd_ros.motion.external_loads import read_loads, wrench_at
 from mbd_ros.motion.recordings import Capture, read_capture, read_columns, read_motion

@@ -23,7 +23,7 @@ from mbd_ros.features.sampling.mean_force import (
 )
 from mbd_ros.features.sampling.task import SampleTask, sample_task
 from mbd_ros.files.formats import PICTURES, format_of, suffix_of
-from mbd_ros.files.replacing import check_place, refuse_overwriting, replacing
+from mbd_ros.files.output_file import check_place, refuse_overwriting, replacing
 from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.jobs.result_files import write_tables

@@ -26,7 +26,7 @@ from mbd_ros.features.simulation.run import (
     options_of,
 )
 from mbd_ros.files.formats import FOLDER, format_of, suffix_of
-from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Result, Table
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, announce, watching

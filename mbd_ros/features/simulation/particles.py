@@ -15,7 +15,7 @@ from mbd_ros.errors import INTERRUPTED, OK, DataError, DivergedError, MbdError
 from mbd_ros.features.simulation.job import Interrupted, diverged_place, kept, written
 from mbd_ros.features.simulation.run import MOST_ROWS
 from mbd_ros.files.formats import format_of, is_bag, suffix_of
-from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
 from mbd_ros.jobs.progress import Say, Watch, say, watching
 from mbd_ros.jobs.progress import progress as shown

@@ -33,13 +33,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.files.formats import PICTURES, read_result
-    from mbd_ros.files.replacing import refuse_overwriting
+    from mbd_ros.files.formats import PICTURES
+    from mbd_ros.files.output_file import refuse_overwriting
+    from mbd_ros.files.table import read_result
 
     refuse_overwriting(arguments.out, arguments.result)
     result = read_result(arguments.result)
     if arguments.power_flow:
-        from mbd_ros.files.plot import power_flow, save
+        from mbd_ros.files.plot import save
+        from mbd_ros.files.power_flow import power_flow
 
         if arguments.columns is not None:
             raise DataError("--power-flow chooses its columns; accepted: it or --columns")

@@ -9,9 +9,9 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
+from mbd_ros.files.laboratory.markers import GROUND, MARKERS, RATE, SCREEN
 from mbd_ros.files.laboratory.trc import Trc
-from mbd_ros.files.recording import GROUND, MARKERS, RATE, SCREEN
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
 from mbd_ros.files.text_file import reading
 

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.files.formats import read_result
 from mbd_ros.files.laboratory.storage import REMARKS, REPEATED
-from mbd_ros.files.table import MAIN, TIME, Result, Table, motion_stamps
+from mbd_ros.files.table import MAIN, TIME, Result, Table, motion_stamps, read_result
 from mbd_ros.files.text_file import reading
 
 GROUND = "ground"

@@ -16,7 +16,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
 from mbd_ros.files.tables.description import column_of, describe, described
 from mbd_ros.files.text_file import (

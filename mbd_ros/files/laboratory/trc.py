@@ -12,8 +12,8 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.files.recording import GROUND, MARKERS, RATE
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.laboratory.markers import GROUND, MARKERS, RATE
+from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
 from mbd_ros.files.text_file import MAX_CELLS, Lines, cell_number, check_times, reading
 

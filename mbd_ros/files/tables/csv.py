@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, RUN, STAMP, TIME, Column, Result, Table
 from mbd_ros.files.text_file import MAX_CELLS, MAX_COLUMNS, Lines, reading
 

@@ -8,7 +8,7 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.files.tables.description import column_of, describe, described
 

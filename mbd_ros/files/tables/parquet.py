@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.errors import DataError, install_hint
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.tables.description import column_of, describe, described
 

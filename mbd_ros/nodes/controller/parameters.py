@@ -11,7 +11,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.features.control.loop_watch import ChatterMeter
 from mbd_ros.features.control.reference import ReferenceGenerator
-from mbd_ros.files.recording import read_plan
+from mbd_ros.files.plan import read_plan
 from mbd_ros.methods.control.contract import ControlledJoints, Controller
 from mbd_ros.nodes.shell.parameters import Parameter, ParameterError, of, parameter
 from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS

@@ -10,7 +10,7 @@ from mbd_ros.applications.demo.walking import numbers as chain
 from mbd_ros.applications.demo.walking import run
 from mbd_ros.applications.demo.walking.task import JOINTS
 from mbd_ros.cli import main
-from mbd_ros.files.formats import read_result
+from mbd_ros.files.table import read_result
 
 ROS = "rclpy", "rosbags", "std_msgs"
 

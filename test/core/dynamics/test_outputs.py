@@ -10,7 +10,7 @@ import mbd_ros as mbd
 from mbd_ros.core.contracts import Kind, Load, Output, exerted_on
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.files.formats import read_result
+from mbd_ros.files.table import read_result
 from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 from mbd_ros.scene.schema.code_permission import permitting
 from mbd_ros.scene.schema.renamed import renamed

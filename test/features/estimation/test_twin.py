@@ -9,7 +9,7 @@ from mbd_ros import load_scene
 from mbd_ros.cli import main
 from mbd_ros.features.estimation.determination import Determinations
 from mbd_ros.features.estimation.faults import Cusum
-from mbd_ros.files.formats import read_result
+from mbd_ros.files.table import read_result
 
 
 @pytest.mark.parametrize("speed", [2.0, 6.28])

@@ -7,7 +7,7 @@ from identification_data import moved, others
 
 from mbd_ros.cli import main
 from mbd_ros.features.identification.payload.job import payload
-from mbd_ros.files.formats import read_result
+from mbd_ros.files.table import read_result
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
 

@@ -24,7 +24,7 @@ from prediction_scenes import (
 import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.errors import FAILED, OK, NotConvergedError, SceneError
-from mbd_ros.files.formats import read_result
+from mbd_ros.files.table import read_result
 
 
 @pytest.mark.parametrize("scheme", ["gauss", "radau", "hermite_simpson"])

@@ -11,8 +11,7 @@ from prediction_scenes import joint, link, mass
 import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.errors import BAD_INPUT, OK, MbdError
-from mbd_ros.files.formats import read_result
-from mbd_ros.files.table import Column, Table
+from mbd_ros.files.table import Column, Table, read_result
 
 WALK = "opensim/gait10dof18musc_muscles"
 TASK = """

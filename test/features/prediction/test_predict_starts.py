@@ -6,7 +6,7 @@ import pytest
 import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.errors import OK, DataError
-from mbd_ros.files.formats import read_result
+from mbd_ros.files.table import read_result
 
 TASK = """
 predict:

@@ -5,7 +5,7 @@ import pytest
 
 from mbd_ros.api import load_scene
 from mbd_ros.cli import main
-from mbd_ros.files.formats import read_result
+from mbd_ros.files.table import read_result
 
 ROWS = """ankle.position,ankle.velocity,ankle_joint_spring.stiffness
 0.1,0.0,30.0

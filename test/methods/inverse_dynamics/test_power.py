@@ -7,7 +7,7 @@ from scipy.interpolate import CubicSpline
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
-from mbd_ros.files.plot import lanes_of
+from mbd_ros.files.power_flow import lanes_of
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.files.tables.csv import read_table
 

@@ -19,7 +19,7 @@ from mbd_ros.features.identification.learn.ensembles import Scales
 from mbd_ros.features.identification.learn.job import run_learn
 from mbd_ros.features.identification.learn.task import Learned, Outcome, Task
 from mbd_ros.features.identification.outcome import description_of, scene_text, write_files
-from mbd_ros.files.replacing import refuse_overwriting
+from mbd_ros.files.output_file import refuse_overwriting
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.progress import Say
 from mbd_ros.methods.learned import about_of, check_robot

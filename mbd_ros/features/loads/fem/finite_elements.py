@@ -19,7 +19,7 @@ from mbd_ros.features.loads.fem.model import (
     step_of,
 )
 from mbd_ros.features.loads.history import History, Instant
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.progress import Say
 
 _NOTHING: Mapping[str, str] = {}

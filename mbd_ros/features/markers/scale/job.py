@@ -18,7 +18,7 @@ from mbd_ros.features.markers.scale.scaled_scene import (
     scaled_sections,
 )
 from mbd_ros.features.markers.scale.task import ScaleTask
-from mbd_ros.files.replacing import replacing
+from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.recordings import Capture, Source, read_capture
 from mbd_ros.scene.built_scene import Scene

@@ -8,7 +8,7 @@ from mbd_ros.core.kinematics.paths.paths import Path, PathBatch, PathSamples
 from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
-from mbd_ros.files.replacing import check_place, refuse_overwriting
+from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Column, Result, Table, time_columns
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say
