@@ -83,7 +83,9 @@ class Scene(built_scene.Scene):
         return Scene.of(super().with_(numbers, **sections))
 
     def with_inertias(self, inertias: Mapping[str, Any]) -> "Scene":
-        """The scene with other inertias of some links, see `Robot.with_inertias`.
+        """The scene with other inertias of some links.
+
+        `core.model.robot_reader.with_inertias` describes the argument.
 
         Raises:
             SceneError: Names link, value and condition.

@@ -190,7 +190,9 @@ class Scene(MeasuredScene):
         return with_numbers(scene, numbers) if numbers else scene
 
     def with_inertias(self, inertias: Mapping[str, Any]) -> "Scene":
-        """The scene with other inertias of some links, see `Robot.with_inertias`.
+        """The scene with other inertias of some links.
+
+        `core.model.robot_reader.with_inertias` describes the argument.
 
         Raises:
             SceneError: Names link, value and condition.

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.model import robot_reader
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import build_scene
@@ -72,14 +73,14 @@ def with_sections(scene: Scene, sections: Mapping[str, Any]) -> Scene:
 
 
 def with_inertias(scene: Scene, inertias: Mapping[str, Any]) -> Scene:
-    """A scene whose robot has other inertias, as `Robot.with_inertias` takes them.
+    """A scene whose robot has other inertias, as `robot_reader.with_inertias` takes them.
 
     Raises:
         SceneError: Names link, value and condition.
     """
     origin = changed_origin(scene)
     try:
-        robot = scene.parts["robot"].with_inertias(inertias)
+        robot = robot_reader.with_inertias(scene.parts["robot"], inertias)
     except ModelError as error:
         raise SceneError(f"{origin.name}: robot: {error}") from error
     return rebuilt(scene, origin, scene.entries, {"robot"}, Kept({"robot": robot}))

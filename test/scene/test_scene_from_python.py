@@ -10,7 +10,7 @@ from places import ROOT
 
 from mbd_ros.cli import main
 from mbd_ros.core.contracts import Load
-from mbd_ros.core.model.robot_reader import read_robot
+from mbd_ros.core.model.robot_reader import read_robot, with_inertias
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reader import load_scene
@@ -240,7 +240,8 @@ def test_other_inertias_are_those_of_an_edited_description(link, as_object):
     inertia = pin.Inertia(GIVEN[0], *map(np.array, GIVEN[1:])) if as_object else GIVEN
     options = {"locked": {"ankle": 0.2}, "rename": {"hip_flexion": "hip"}}
     old = read_robot(LEG, **options)
-    robot, wanted = old.with_inertias({link: inertia}), read_robot(edited(link, *GIVEN), **options)
+    robot = with_inertias(old, {link: inertia})
+    wanted = read_robot(edited(link, *GIVEN), **options)
     for ours, theirs, before in zip(
         *(r.model.inertias for r in (robot, wanted, old)), strict=True
     ):
@@ -255,12 +256,12 @@ def test_other_inertias_are_those_of_an_edited_description(link, as_object):
 
 def test_inertias_of_links_are_read_back():
     robot = read_robot(LEG)
-    found = robot.with_inertias({"shank": GIVEN}).inertias()
+    found = with_inertias(robot, {"shank": GIVEN}).inertias()
     assert np.array_equal(
         found["shank"].matrix(), pin.Inertia(GIVEN[0], *map(np.array, GIVEN[1:])).matrix()
     )
     assert list(found) == list(robot.inertias())
-    same = robot.with_inertias(robot.inertias())
+    same = with_inertias(robot, robot.inertias())
     assert same.model.inertias[1].isApprox(robot.model.inertias[1], 1e-14)
     assert pin.computeTotalMass(same.model) == pytest.approx(pin.computeTotalMass(robot.model))
 
@@ -268,10 +269,10 @@ def test_inertias_of_links_are_read_back():
 def test_a_scene_takes_other_inertias(leg):
     driven = leg.with_(actuators=[MOTOR])
     heavy = driven.with_inertias({"shank": GIVEN}).with_inertias({"foot": GIVEN})
-    wanted = read_robot(LEG).with_inertias({"shank": GIVEN, "foot": GIVEN}).model.inertias
+    wanted = with_inertias(read_robot(LEG), {"shank": GIVEN, "foot": GIVEN}).model.inertias
     assert all(a == b for a, b in zip(heavy.robot.model.inertias, wanted, strict=True))
     assert np.array_equal(heavy.robot.model.armature, driven.robot.model.armature)
-    again = heavy.robot.with_inertias({})
+    again = with_inertias(heavy.robot, {})
     assert np.array_equal(again.model.armature, driven.robot.model.armature)
     assert not np.array_equal(motion(heavy), motion(driven))
 
@@ -291,7 +292,7 @@ def test_a_scene_takes_other_inertias(leg):
 )
 def test_inertias_are_checked_as_those_of_a_description(leg, inertias, message):
     with pytest.raises(ModelError) as caught:
-        leg.robot.with_inertias(inertias)
+        with_inertias(leg.robot, inertias)
     assert message in str(caught.value)
     with pytest.raises(SceneError, match=re.escape(f"{leg.path} (changed): robot: ")) as caught:
         leg.with_inertias(inertias)

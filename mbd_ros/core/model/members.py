@@ -1,6 +1,8 @@
 """Several robots and bodies in one Pinocchio model."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -8,57 +10,32 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.robot import BASE, WORLD, Base, Joint, Mimic, Recipe, Robot
-from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, FAR, read_recipe, root_link
-from mbd_ros.core.model.urdf import MAX_JOINTS, parse_urdf
+from mbd_ros.core.model.robot import BASE, FAR, WORLD, Base, Joint, Mimic, Recipe, Robot
+from mbd_ros.core.model.urdf import MAX_JOINTS, parse_urdf, root_link
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
 _RESERVED = (BASE, WORLD, "universe")
 
 
-class _Member(NamedTuple):
-    """A robot or body, and where it goes.
-
-    Attributes:
-        recipe: What it was read from.
-        robot: It by itself.
-        root: Its root link.
-        q: Where its coordinates begin in a configuration of all.
-        v: Where they begin in a velocity of all.
-    """
-
-    recipe: Recipe
-    robot: Robot
-    root: str
-    q: int
-    v: int
-
-    def link(self, name: str) -> str:
-        """What a link is called in the scene: the root may have the name of the member."""
-        recipe = self.recipe
-        return name if name == self.root == recipe.name else recipe.scoped(name)
-
-
-def merged(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAVITY) -> Robot:
+def merged(robots: Sequence[Robot], gravity: Sequence[float]) -> Robot:
     """All robots and bodies of a scene as one `Robot`.
 
     Joints and links of a member with a name are called `<name>/<joint>`. Its own name is that of
     its root link, too, and of its base if that is free.
 
     Args:
-        recipes: The members, in the order of their coordinates; one may be without a name.
+        robots: Each read by itself, in the order of their coordinates; one may be without a name.
         gravity: Acceleration of gravity in the world frame [m/s^2], shape (3,).
 
     Raises:
-        ModelError: A description cannot be trusted, or a name stands for two things.
+        ModelError: A name stands for two things, or more joints move than are accepted.
     """
-    members = _members(recipes, gravity)
+    members = _members(robots)
     _check(members)
     origin = _origin(members)
     model = _model(members, origin)
     model.gravity.linear = np.array(gravity, dtype=np.float64)
-    robots = [member.robot for member in members]
     return Robot(
         name=", ".join(m.recipe.name or m.robot.name for m in members),
         model=model,
@@ -67,61 +44,19 @@ def merged(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAVITY) 
         bases=tuple(_base(m, b, model, origin) for m in members for b in m.robot.bases),
         locked=_scoped(members, [robot.locked for robot in robots]),
         fixed=frozenset(m.recipe.scoped(name) for m in members for name in m.robot.fixed),
-        doubts=tuple(_told(m.recipe, doubt) for m in members for doubt in m.robot.doubts),
+        doubts=tuple(m.recipe.titled(doubt) for m in members for doubt in m.robot.doubts),
         rubbing=_scoped(members, [robot.rubbing for robot in robots]),
-        ignored=tuple(_told(m.recipe, text) for m in members for text in m.robot.ignored),
+        ignored=tuple(m.recipe.titled(text) for m in members for text in m.robot.ignored),
         origin=origin,
-        recipes=tuple(recipes),
+        recipes=tuple(m.recipe for m in members),
         places=Places(model),
     )
 
 
-def inertias_of_links(recipes: Iterable[Recipe]) -> dict[str, Any]:
-    """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""
-    from mbd_ros.core.model.robot_reader import inertias_of
-
-    found = {}
-    for recipe in recipes:
-        tree = parse_urdf(recipe.text, recipe.source, recipe.inertias)
-        root = root_link(tree)
-        for link, inertia in inertias_of(tree).items():
-            is_named = link == root and bool(recipe.name)
-            found[recipe.name if is_named else recipe.scoped(link)] = inertia
-    return found
-
-
-def with_inertias(recipes: Iterable[Recipe], inertias: Mapping[str, Any]) -> list[Recipe]:
-    """Recipes with other inertias of some links.
-
-    Args:
-        recipes: Of all members.
-        inertias: As `Robot.with_inertias` takes them.
-
-    Raises:
-        ModelError: There is no such link.
-    """
-    left, changed = dict(inertias), []
-    for recipe in sorted(recipes, key=lambda recipe: not recipe.name):  # those without one last
-        start = recipe.scoped("")
-        own = {link: left.pop(link) for link in list(left) if link.startswith(start)}
-        given = {link.removeprefix(start): inertia for link, inertia in own.items()}
-        if recipe.name in left:
-            root = root_link(parse_urdf(recipe.text, recipe.source))
-            given[root] = left.pop(recipe.name)
-        changed.append(recipe._replace(inertias={**(recipe.inertias or {}), **given}))
-    if left:
-        known = ", ".join(inertias_of_links(recipes))
-        raise ModelError(f"no link '{next(iter(left))}'; the links are {known}")
-    return [next(c for c in changed if c.name == recipe.name) for recipe in recipes]
-
-
-def _members(recipes: Iterable[Recipe], gravity: Sequence[float]) -> list[_Member]:
+def _members(robots: Sequence[Robot]) -> list[_Member]:
     members, q, v = list[_Member](), 0, 0
-    for recipe in recipes:
-        try:
-            robot = read_recipe(recipe, gravity)
-        except ModelError as error:
-            raise ModelError(_told(recipe, str(error))) from error
+    for robot in robots:
+        (recipe,) = robot.recipes
         root = root_link(parse_urdf(recipe.text, recipe.source))
         members.append(_Member(recipe, robot, root, q, v))
         q, v = q + int(robot.model.nq), v + int(robot.model.nv)
@@ -227,5 +162,24 @@ def _scoped(members: Sequence[_Member], given: Sequence[Mapping[str, Any]]) -> d
     return {m.recipe.scoped(name): value for m, own in pairs for name, value in own.items()}
 
 
-def _told(recipe: Recipe, text: str) -> str:
-    return f"{recipe.name}: {text}" if recipe.name else text
+class _Member(NamedTuple):
+    """A robot or body, and where it goes.
+
+    Attributes:
+        recipe: What it was read from.
+        robot: It by itself.
+        root: Its root link.
+        q: Where its coordinates begin in a configuration of all.
+        v: Where they begin in a velocity of all.
+    """
+
+    recipe: Recipe
+    robot: Robot
+    root: str
+    q: int
+    v: int
+
+    def link(self, name: str) -> str:
+        """What a link is called in the scene: the root may have the name of the member."""
+        recipe = self.recipe
+        return name if name == self.root == recipe.name else recipe.scoped(name)

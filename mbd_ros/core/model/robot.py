@@ -1,5 +1,7 @@
 """What moves in a scene, checked and frozen: joints, robots and bodies in one Pinocchio model."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from textwrap import shorten
@@ -10,162 +12,12 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from mbd_ros.core.model.points import Pair, Place, Places, Point, rotation_matrix
+from mbd_ros.core.model.urdf import inertias_of, parse_urdf, root_link
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-# ---- joints -----------------------------------------------------------------------------------
-# What moves in a robot: joints with one coordinate, and free bases.
-
-
-class Base(NamedTuple):
-    """A link that moves freely, and carries the links that hang on it.
-
-    Attributes:
-        name: `base` for the base of the only robot, else the name of its robot or body.
-        q: Its coordinates in a configuration: position less `Robot.origin` [m], then the
-            quaternion (x, y, z, w).
-        v: Its coordinates in a velocity: linear [m/s], then angular [rad/s], in its own axes.
-        joint: Index of its joint in the model.
-        frame: Name of the link.
-        start: Where it starts unless a scene says otherwise, as in a configuration, shape (7,).
-    """
-
-    name: str
-    q: slice
-    v: slice
-    joint: int
-    frame: str
-    start: Array
-
-    @property
-    def title(self) -> str:
-        """For messages."""
-        return "the floating base" if self.name == BASE else f"free body '{self.name}'"
-
-
-def child_link(model: Any, v: int) -> str:
-    """Name of the link that a joint carries, whose axes are those of the joint.
-
-    Args:
-        model: Pinocchio model.
-        v: Index of the coordinate of the joint in a velocity.
-    """
-    joint = next(i for i, one in enumerate(model.joints) if i and one.idx_v == v)
-    links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
-    return str(next(link.name for link in links if link.placement.isIdentity()))
-
-
 BASE = "base"  # name of the base of the only robot
-
-
-@dataclass(frozen=True)
-class Joint:
-    """One joint with one coordinate.
-
-    Attributes:
-        name: Name on topics, bags and CSV columns.
-        urdf_name: Name in the robot description.
-        kind: revolute, continuous or prismatic.
-        q: Index of its coordinate in a configuration.
-        v: Index of its coordinate in a velocity.
-        lower: Lower position limit [rad or m], -inf without one.
-        upper: Upper position limit [rad or m], inf without one.
-        max_velocity: [rad/s or m/s], inf where the description says 0 or nothing.
-        max_effort: [N·m or N], inf where the description says nothing (continuous joints may).
-        member: Name of its robot or body in the scene, empty for the only robot.
-    """
-
-    name: str
-    urdf_name: str
-    kind: str
-    q: int
-    v: int
-    lower: float
-    upper: float
-    max_velocity: float
-    max_effort: float
-    member: str = ""
-
-    @property
-    def effort_name(self) -> str:
-        """What its effort is, torque or force."""
-        return "force" if self.kind == "prismatic" else "torque"
-
-    @property
-    def effort_unit(self) -> str:
-        """Unit of its effort."""
-        return "N" if self.kind == "prismatic" else "N·m"
-
-    @property
-    def position_unit(self) -> str:
-        """Unit of its position."""
-        return "m" if self.kind == "prismatic" else "rad"
-
-
-@dataclass(frozen=True)
-class Mimic:
-    """A `<mimic>` of the description: joint = factor * parent + offset [rad or m]."""
-
-    joint: str
-    parent: str
-    factor: float
-    offset: float
-
-
-class Rubbing(NamedTuple):
-    """A `<dynamics>` of the description.
-
-    Attributes:
-        friction: Dry friction [N·m or N].
-        damping: Viscous [N·m·s/rad or N·s/m].
-    """
-
-    friction: float
-    damping: float
-
-
-# ---- model source -----------------------------------------------------------------------------
-# What a robot or a body is read from, and what its links and joints are called.
-
-
-class Recipe(NamedTuple):
-    """One robot or body of a scene, before it is read.
-
-    Attributes:
-        text: URDF.
-        source: File or topic of the text, for the messages.
-        base: `fixed`, or `floating` for a root link that moves freely.
-        locked: Joint -> position [rad or m] of joints to freeze and remove.
-        rename: URDF joint name -> the name that it goes by.
-        inertias: Of links, in place of those of the text, see `Robot.with_inertias`.
-        name: In the scene; empty for the only robot, whose links and joints keep their names.
-        pose: `pinocchio.SE3` of the root link in the world, at the start if that moves freely;
-            None where the description says.
-        shape: Kind and sizes, as a scene writes them, of a body that has only one link; None
-            where the description says.
-        any_inertias: Whether moments of inertia that no body has are taken as they are.
-    """
-
-    text: str
-    source: str
-    base: str = "fixed"
-    locked: Mapping[str, float] | None = None
-    rename: Mapping[str, str] | None = None
-    inertias: Mapping[str, Any] | None = None
-    name: str = ""
-    pose: Any = None
-    shape: tuple[str, Any] | None = None
-    any_inertias: bool = False
-
-    def scoped(self, name: str) -> str:
-        """What a joint, or a link that is not the root, is called in the scene."""
-        return f"{self.name}/{name}" if self.name else name
-
-
-# ---- robot ------------------------------------------------------------------------------------
-# What moves in a scene, checked and frozen: robots and bodies in one Pinocchio model.
-
-
+FAR = 2.0  # m; nearer robots keep the world's origin, and lose no digit that counts
 WORLD = "world"  # a frame at rest, beside `universe`, unless a link is called so
 
 
@@ -226,12 +78,14 @@ class Robot:
     @property
     def base_v(self) -> NDArray[np.intp]:
         """Where the velocities of free bases stand in v, six each."""
-        return np.array([i for base in self.bases for i in _places(base.v)], dtype=np.intp)
+        return np.array(
+            [i for base in self.bases for i in range(base.v.start, base.v.stop)], dtype=np.intp
+        )
 
     @property
     def base_titles(self) -> dict[int, str]:
         """Where in v free bases have coordinates -> what messages call them."""
-        return {i: base.title for base in self.bases for i in _places(base.v)}
+        return {i: base.title for base in self.bases for i in range(base.v.start, base.v.stop)}
 
     @property
     def members(self) -> frozenset[str]:
@@ -244,11 +98,7 @@ class Robot:
         return frozenset(joint.name for joint in self.joints if joint.kind == "prismatic")
 
     def joint(self, name: str) -> Joint:
-        """Joint of that topic name.
-
-        Raises:
-            ModelError: There is none, or it is fixed or locked; the message lists what exists.
-        """
+        """Joint of that topic name; a ModelError where it is missing, fixed or locked."""
         for joint in self.joints:
             if joint.name == name:
                 return joint
@@ -274,11 +124,7 @@ class Robot:
         return q
 
     def frame(self, name: str) -> int:
-        """Index in the model of the link (or frame) of that name; `world` is at rest.
-
-        Raises:
-            ModelError: There is none; the message lists the links.
-        """
+        """Index in the model of the link (or frame) of that name; `world` is at rest."""
         index = int(self.model.getFrameId(name, pin.FrameType.BODY))
         if index == len(self.model.frames):
             index = int(self.model.getFrameId(name))
@@ -302,9 +148,6 @@ class Robot:
                 `universe` for one at rest.
             xyz: Where it is in `frame` [m], shape (3,).
             rpy: Roll, pitch and yaw of its axes in `frame` as in URDF [rad], shape (3,).
-
-        Raises:
-            ModelError: Unknown frame.
         """
         link = self.model.frames[self.frame(frame)]
         there = pin.SE3(rotation_matrix(rpy), np.array(xyz, dtype=np.float64))
@@ -322,11 +165,7 @@ class Robot:
         return self.places.point(point.frame, Place(joint, at * pin.SE3(np.eye(3), xyz)))
 
     def carrier(self, frame: str) -> Point:
-        """Origin and axes of the joint that carries a link.
-
-        Raises:
-            ModelError: Unknown frame.
-        """
+        """Origin and axes of the joint that carries a link."""
         joint = int(self.model.frames[self.frame(frame)].parentJoint)
         return self.places.point(frame, Place(joint, pin.SE3.Identity()))
 
@@ -340,28 +179,14 @@ class Robot:
 
     def inertias(self) -> dict[str, Any]:
         """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""
-        from mbd_ros.core.model.members import inertias_of_links
-
-        return inertias_of_links(self.recipes)
-
-    def with_inertias(self, inertias: Mapping[str, Any]) -> "Robot":
-        """The robot with other inertias of some links, checked as those of a description.
-
-        Args:
-            inertias: Link -> `pinocchio.Inertia` or (mass [kg], mass centre [m], shape (3,),
-                inertia about the mass centre [kg·m^2], shape (3, 3)), both in the axes of the
-                link. Locked and fixed links are links too.
-
-        Raises:
-            ModelError: Names link, value and condition.
-        """
-        from mbd_ros.core.model.members import with_inertias
-        from mbd_ros.core.model.robot_reader import read_robots
-
-        recipes = with_inertias(self.recipes, inertias)
-        robot = read_robots(recipes, self.model.gravity.linear.tolist())
-        robot.model.armature = self.model.armature.copy()  # of drives, which no description has
-        return robot
+        inertias = {}
+        for recipe in self.recipes:
+            tree = parse_urdf(recipe.text, recipe.source, recipe.inertias)
+            root = root_link(tree)
+            for link, inertia in inertias_of(tree).items():
+                is_named = link == root and bool(recipe.name)
+                inertias[recipe.name if is_named else recipe.scoped(link)] = inertia
+        return inertias
 
     def __repr__(self) -> str:
         mass = pin.computeTotalMass(self.model)
@@ -372,5 +197,143 @@ class Robot:
         )
 
 
-def _places(of: slice) -> range:
-    return range(of.start, of.stop)
+@dataclass(frozen=True)
+class Joint:
+    """One joint with one coordinate.
+
+    Attributes:
+        name: Name on topics, bags and CSV columns.
+        urdf_name: Name in the robot description.
+        kind: revolute, continuous or prismatic.
+        q: Index of its coordinate in a configuration.
+        v: Index of its coordinate in a velocity.
+        lower: Lower position limit [rad or m], -inf without one.
+        upper: Upper position limit [rad or m], inf without one.
+        max_velocity: [rad/s or m/s], inf where the description says 0 or nothing.
+        max_effort: [N·m or N], inf where the description says nothing (continuous joints may).
+        member: Name of its robot or body in the scene, empty for the only robot.
+    """
+
+    name: str
+    urdf_name: str
+    kind: str
+    q: int
+    v: int
+    lower: float
+    upper: float
+    max_velocity: float
+    max_effort: float
+    member: str = ""
+
+    @property
+    def effort_name(self) -> str:
+        """What its effort is, torque or force."""
+        return "force" if self.kind == "prismatic" else "torque"
+
+    @property
+    def effort_unit(self) -> str:
+        """Unit of its effort."""
+        return "N" if self.kind == "prismatic" else "N·m"
+
+    @property
+    def position_unit(self) -> str:
+        """Unit of its position."""
+        return "m" if self.kind == "prismatic" else "rad"
+
+
+class Base(NamedTuple):
+    """A link that moves freely, and carries the links that hang on it.
+
+    Attributes:
+        name: `base` for the base of the only robot, else the name of its robot or body.
+        q: Its coordinates in a configuration: position less `Robot.origin` [m], then the
+            quaternion (x, y, z, w).
+        v: Its coordinates in a velocity: linear [m/s], then angular [rad/s], in its own axes.
+        joint: Index of its joint in the model.
+        frame: Name of the link.
+        start: Where it starts unless a scene says otherwise, as in a configuration, shape (7,).
+    """
+
+    name: str
+    q: slice
+    v: slice
+    joint: int
+    frame: str
+    start: Array
+
+    @property
+    def title(self) -> str:
+        """For messages."""
+        return "the floating base" if self.name == BASE else f"free body '{self.name}'"
+
+
+@dataclass(frozen=True)
+class Mimic:
+    """A `<mimic>` of the description: joint = factor * parent + offset [rad or m]."""
+
+    joint: str
+    parent: str
+    factor: float
+    offset: float
+
+
+class Rubbing(NamedTuple):
+    """A `<dynamics>` of the description.
+
+    Attributes:
+        friction: Dry friction [N·m or N].
+        damping: Viscous [N·m·s/rad or N·s/m].
+    """
+
+    friction: float
+    damping: float
+
+
+class Recipe(NamedTuple):
+    """One robot or body of a scene, before it is read.
+
+    Attributes:
+        text: URDF.
+        source: File or topic of the text, for the messages.
+        base: `fixed`, or `floating` for a root link that moves freely.
+        locked: Joint -> position [rad or m] of joints to freeze and remove.
+        rename: URDF joint name -> the name that it goes by.
+        inertias: Of links, in place of those of the text, see `robot_reader.with_inertias`.
+        name: In the scene; empty for the only robot, whose links and joints keep their names.
+        pose: `pinocchio.SE3` of the root link in the world, at the start if that moves freely;
+            None where the description says.
+        shape: Kind and sizes, as a scene writes them, of a body that has only one link; None
+            where the description says.
+        any_inertias: Whether moments of inertia that no body has are taken as they are.
+    """
+
+    text: str
+    source: str
+    base: str = "fixed"
+    locked: Mapping[str, float] | None = None
+    rename: Mapping[str, str] | None = None
+    inertias: Mapping[str, Any] | None = None
+    name: str = ""
+    pose: Any = None
+    shape: tuple[str, Any] | None = None
+    any_inertias: bool = False
+
+    def scoped(self, name: str) -> str:
+        """What a joint, or a link that is not the root, is called in the scene."""
+        return f"{self.name}/{name}" if self.name else name
+
+    def titled(self, text: str) -> str:
+        """A remark or message about the member, with its name before it."""
+        return f"{self.name}: {text}" if self.name else text
+
+
+def child_link(model: Any, v: int) -> str:
+    """Name of the link that a joint carries, whose axes are those of the joint.
+
+    Args:
+        model: Pinocchio model.
+        v: Index of the coordinate of the joint in a velocity.
+    """
+    joint = next(i for i, one in enumerate(model.joints) if i and one.idx_v == v)
+    links = (f for f in model.frames if f.type == pin.FrameType.BODY and f.parentJoint == joint)
+    return str(next(link.name for link in links if link.placement.isIdentity()))

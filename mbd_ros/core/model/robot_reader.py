@@ -1,7 +1,8 @@
 """URDF text -> a frozen robot on a Pinocchio model.
 
 Every joint has one coordinate. A continuous joint, for which Pinocchio would keep (cos, sin), is
-read as a revolute joint without limits, so that its position is an unwrapped angle everywhere.
+read as a revolute joint without limits, so that its position is an unwrapped angle everywhere. A
+fixed base that stands far away is read as if it stood at the origin, see `centred`.
 """
 
 import copy
@@ -14,7 +15,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.robot import BASE, Base, Joint, Mimic, Recipe, Robot, Rubbing
+from mbd_ros.core.model.robot import BASE, FAR, Base, Joint, Mimic, Recipe, Robot, Rubbing
 from mbd_ros.core.model.urdf import (
     check_inertias,
     has_effort_limit,
@@ -22,75 +23,10 @@ from mbd_ros.core.model.urdf import (
     link_name,
     numbers,
     parse_urdf,
+    root_link,
 )
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-
-# ---- far base ---------------------------------------------------------------------------------
-# A fixed base far from the world's origin, read as if it stood at the origin.
-#
-# Placements, Jacobians and distances in world axes lose a digit with every power of ten between
-# the
-# robot and the origin. A constant offset changes no acceleration.
-
-
-FAR = 2.0  # m; nearer robots keep the world's origin, and lose no digit that counts
-
-
-def centred(
-    build: Callable[[ElementTree.Element], Any], tree: ElementTree.Element
-) -> tuple[Any, Array]:
-    """A model with a fixed base, and the origin that its positions are counted from.
-
-    Args:
-        build: Makes a model of a checked description.
-        tree: The description.
-
-    Returns:
-        The model, and the place of its first joint in the world [m], or 0 if that is near,
-        shape (3,). Frames of the world and of the root link stand in it at minus that place.
-    """
-    model, near = build(tree), np.zeros(3)
-    if model.njoints == 1:
-        return model, near
-    origin: Array = model.jointPlacements[1].translation.copy()
-    if np.linalg.norm(origin) <= FAR:
-        return model, near
-    root = root_link(tree)
-    model = build(_moved(tree, root, origin))
-    for index in {0, int(model.getFrameId(root, pin.FrameType.BODY))}:
-        frame = model.frames[index]
-        frame.placement = pin.SE3(frame.placement.rotation, frame.placement.translation - origin)
-    return model, origin
-
-
-def _moved(tree: ElementTree.Element, root: str, origin: Array) -> ElementTree.Element:
-    """The description with everything on its root link moved by -origin.
-
-    The text is changed, before anything is added to the large numbers.
-    """
-    tree = copy.deepcopy(tree)
-    for joint in tree.findall("joint"):
-        if link_name(joint, "parent") != root:
-            continue
-        place = joint.find("origin")
-        if place is None:
-            place = ElementTree.SubElement(joint, "origin")
-        at = np.array(numbers(place, "xyz", "0 0 0")) - origin
-        place.set("xyz", " ".join(repr(float(value)) for value in at))
-    return tree
-
-
-def root_link(tree: ElementTree.Element) -> str:
-    """Name of the link that no joint carries."""
-    carried = {link_name(joint, "child") for joint in tree.findall("joint")}
-    names = (link.get("name", "") for link in tree.findall("link"))
-    return next(name for name in names if name not in carried)
-
-
-# ---- robot reader -----------------------------------------------------------------------------
-# URDF text -> a frozen robot on a Pinocchio model.
-
 
 EARTH_GRAVITY = (0.0, 0.0, -9.81)
 BASES = ("fixed", "floating")
@@ -116,7 +52,7 @@ def read_robot(
         base: `fixed`, or `floating` for a root link that moves freely.
         locked: Topic name -> position [rad or m] of joints to freeze and remove.
         rename: URDF joint name -> name used on topics.
-        inertias: Of links, in place of those of the text, see `Robot.with_inertias`.
+        inertias: Of links, in place of those of the text, see `with_inertias`.
 
     Raises:
         ModelError: The description cannot be trusted, or an option names a joint that is not
@@ -130,10 +66,10 @@ def read_recipe(recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY) -> Rob
 
     Args:
         recipe: What it is read from; its name and pose are those of a scene, and left aside.
-        gravity: As for `read_robot`.
+        gravity: Acceleration of gravity in the world frame [m/s^2], shape (3,).
 
     Raises:
-        ModelError: As `read_robot`.
+        ModelError: The description cannot be trusted, or an option names an unknown joint.
     """
     text, source, base = recipe[:3]
     if base not in BASES:
@@ -166,23 +102,6 @@ def read_recipe(recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY) -> Rob
         recipes=(recipe,),
         places=Places(model),
     )
-
-
-def read_robots(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAVITY) -> Robot:
-    """The only robot of a scene, or all robots and bodies as one.
-
-    Args:
-        recipes: The robots and bodies, in the order of their coordinates.
-        gravity: As for `read_robot`.
-
-    Raises:
-        ModelError: As `read_robot`, or a name stands for two things.
-    """
-    if len(recipes) == 1 and not recipes[0].name and recipes[0].pose is None:
-        return read_recipe(recipes[0], gravity)
-    from mbd_ros.core.model.members import merged
-
-    return merged(recipes, gravity)
 
 
 def _topic_names(
@@ -268,20 +187,52 @@ def _lock(
         raise ModelError(f"{source}: locked: {str(error).splitlines()[0]}") from error
 
 
-def _bases(model: Any, link: str) -> tuple[Base, ...]:
-    """The free base that the root link may have."""
-    return tuple(
-        Base(
-            BASE,
-            slice(joint.idx_q, joint.idx_q + joint.nq),
-            slice(joint.idx_v, joint.idx_v + joint.nv),
-            int(joint.id),
-            link,
-            pin.neutral(model)[joint.idx_q : joint.idx_q + joint.nq],
-        )
-        for joint in model.joints
-        if joint.nv == _BASE_V
-    )
+def centred(
+    build: Callable[[ElementTree.Element], Any], tree: ElementTree.Element
+) -> tuple[Any, Array]:
+    """A model with a fixed base, and the origin that its positions are counted from.
+
+    A fixed base far from the world's origin is read as if it stood at the origin: placements,
+    Jacobians and distances in world axes lose a digit with every power of ten between the robot
+    and the origin, and a constant offset changes no acceleration.
+
+    Args:
+        build: Makes a model of a checked description.
+        tree: The description.
+
+    Returns:
+        The model, and the place of its first joint in the world [m], or 0 if that is near,
+        shape (3,). Frames of the world and of the root link stand in it at minus that place.
+    """
+    model, near = build(tree), np.zeros(3)
+    if model.njoints == 1:
+        return model, near
+    origin: Array = model.jointPlacements[1].translation.copy()
+    if np.linalg.norm(origin) <= FAR:
+        return model, near
+    root = root_link(tree)
+    model = build(_moved(tree, root, origin))
+    for index in {0, int(model.getFrameId(root, pin.FrameType.BODY))}:
+        frame = model.frames[index]
+        frame.placement = pin.SE3(frame.placement.rotation, frame.placement.translation - origin)
+    return model, origin
+
+
+def _moved(tree: ElementTree.Element, root: str, origin: Array) -> ElementTree.Element:
+    """The description with everything on its root link moved by -origin.
+
+    The text is changed, before anything is added to the large numbers.
+    """
+    tree = copy.deepcopy(tree)
+    for joint in tree.findall("joint"):
+        if link_name(joint, "parent") != root:
+            continue
+        place = joint.find("origin")
+        if place is None:
+            place = ElementTree.SubElement(joint, "origin")
+        at = np.array(numbers(place, "xyz", "0 0 0")) - origin
+        place.set("xyz", " ".join(repr(float(value)) for value in at))
+    return tree
 
 
 def _joints(model: Any, tree: ElementTree.Element, names: Mapping[str, str]) -> tuple[Joint, ...]:
@@ -309,6 +260,22 @@ def _joints(model: Any, tree: ElementTree.Element, names: Mapping[str, str]) -> 
     return tuple(sorted(joints, key=lambda joint: joint.v))
 
 
+def _bases(model: Any, link: str) -> tuple[Base, ...]:
+    """The free base that the root link may have."""
+    return tuple(
+        Base(
+            BASE,
+            slice(joint.idx_q, joint.idx_q + joint.nq),
+            slice(joint.idx_v, joint.idx_v + joint.nv),
+            int(joint.id),
+            link,
+            pin.neutral(model)[joint.idx_q : joint.idx_q + joint.nq],
+        )
+        for joint in model.joints
+        if joint.nv == _BASE_V
+    )
+
+
 def _rubbing(tree: ElementTree.Element, names: Mapping[str, str]) -> dict[str, Rubbing]:
     found = {}
     for joint in tree.findall("joint"):
@@ -319,75 +286,54 @@ def _rubbing(tree: ElementTree.Element, names: Mapping[str, str]) -> dict[str, R
     return found
 
 
-# ---- other inertias ---------------------------------------------------------------------------
-# Inertias of links in place of those of a description, and what a description says of them.
-
-
-_AXES = "xyz"
-_PAIRS = [(i, j) for i in range(3) for j in range(i, 3)]
-_ASYMMETRIC = 1.0e-9  # of the largest entry
-_EXPECTED = (
-    "expected a pinocchio.Inertia, or mass [kg], mass centre [m] of 3 numbers and inertia about "
-    "it [kg·m^2] of 3 x 3"
-)
-
-
-def place_inertias(robot: ElementTree.Element, inertias: Mapping[str, Any], source: str) -> None:
-    """Put inertias into a description; its checks come afterwards.
+def read_robots(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAVITY) -> Robot:
+    """The only robot of a scene, or all robots and bodies as one.
 
     Args:
-        robot: The `<robot>` element, changed in place.
-        inertias: Link -> `pinocchio.Inertia` or (mass [kg], mass centre [m], shape (3,), inertia
-            about the mass centre [kg·m^2], shape (3, 3)), both in the axes of the link.
-        source: File or topic of the description, for the messages.
+        recipes: The robots and bodies, in the order of their coordinates.
+        gravity: Acceleration of gravity in the world frame [m/s^2], shape (3,).
 
     Raises:
-        ModelError: There is no such link, or the numbers have another shape.
+        ModelError: A description cannot be trusted, or a name stands for two things.
     """
-    links = {link.get("name", ""): link for link in robot.findall("link")}
-    for name, inertia in inertias.items():
-        if name not in links:
-            raise ModelError(f"{source}: no link '{name}'; the links are {', '.join(links)}")
-        mass, centre, tensor = _numbers(inertia, f"{source}: link '{name}'")
-        link = links[name]
-        for old in link.findall("inertial"):
-            link.remove(old)
-        inertial = ElementTree.SubElement(link, "inertial")
-        words = " ".join(repr(float(value)) for value in centre)
-        ElementTree.SubElement(inertial, "origin", {"xyz": words})
-        ElementTree.SubElement(inertial, "mass", {"value": repr(mass)})
-        moments = {f"i{_AXES[i]}{_AXES[j]}": repr(float(tensor[i, j])) for i, j in _PAIRS}
-        ElementTree.SubElement(inertial, "inertia", moments)
+    if len(recipes) == 1 and not recipes[0].name and recipes[0].pose is None:
+        return read_recipe(recipes[0], gravity)
+    from mbd_ros.core.model.members import merged
+
+    robots = []
+    for recipe in recipes:
+        try:
+            robots.append(read_recipe(recipe, gravity))
+        except ModelError as error:
+            raise ModelError(recipe.titled(str(error))) from error
+    return merged(robots, gravity)
 
 
-def inertias_of(robot: ElementTree.Element) -> dict[str, Any]:
-    """Link -> `pinocchio.Inertia` of a checked description, 0 where it says nothing."""
-    found = {}
-    for link in robot.findall("link"):
-        inertial = link.find("inertial")
-        if inertial is None:
-            found[link.get("name", "")] = pin.Inertia.Zero()
-            continue
-        place, given = inertial.find("origin"), inertial.find("inertia")
-        turned = pin.rpy.rpyToMatrix(np.array(numbers(place, "rpy", "0 0 0")))
-        tensor = np.zeros((3, 3))
-        for i, j in _PAIRS:
-            tensor[i, j] = tensor[j, i] = numbers(given, f"i{_AXES[i]}{_AXES[j]}", "0")[0]
-        mass = numbers(inertial.find("mass"), "value", "0")[0]
-        centre = np.array(numbers(place, "xyz", "0 0 0"))
-        found[link.get("name", "")] = pin.Inertia(mass, centre, turned @ tensor @ turned.T)
-    return found
+def with_inertias(robot: Robot, inertias: Mapping[str, Any]) -> Robot:
+    """The robot with other inertias of some links, checked as those of a description.
 
+    Args:
+        robot: The robot.
+        inertias: Link -> `pinocchio.Inertia` or (mass [kg], mass centre [m], shape (3,), inertia
+            about the mass centre [kg·m^2], shape (3, 3)), both in the axes of the link. Locked
+            and fixed links are links too.
 
-def _numbers(inertia: Any, where: str) -> tuple[float, Array, Array]:
-    if isinstance(inertia, pin.Inertia):
-        inertia = (inertia.mass, inertia.lever, inertia.inertia)
-    try:
-        mass, centre, tensor = (np.array(value, dtype=np.float64) for value in inertia)
-    except (TypeError, ValueError) as error:
-        raise ModelError(f"{where}: {_EXPECTED}") from error
-    if (mass.shape, centre.shape, tensor.shape) != ((), (3,), (3, 3)):
-        raise ModelError(f"{where}: {_EXPECTED}")
-    if np.abs(tensor - tensor.T).max() > _ASYMMETRIC * np.abs(tensor).max():
-        raise ModelError(f"{where}: inertia is not symmetric")
-    return float(mass), centre, tensor
+    Raises:
+        ModelError: There is no such link, or no body can have the inertia.
+    """
+    left, recipes = dict(inertias), dict[str, Recipe]()
+    for recipe in sorted(robot.recipes, key=lambda recipe: not recipe.name):  # without name last
+        start = recipe.scoped("")
+        own = {link: left.pop(link) for link in list(left) if link.startswith(start)}
+        given = {link.removeprefix(start): inertia for link, inertia in own.items()}
+        if recipe.name in left:
+            root = root_link(parse_urdf(recipe.text, recipe.source))
+            given[root] = left.pop(recipe.name)
+        recipes[recipe.name] = recipe._replace(inertias={**(recipe.inertias or {}), **given})
+    if left:
+        known = ", ".join(robot.inertias())
+        raise ModelError(f"no link '{next(iter(left))}'; the links are {known}")
+    ordered = [recipes[recipe.name] for recipe in robot.recipes]
+    heavier = read_robots(ordered, robot.model.gravity.linear.tolist())
+    heavier.model.armature = robot.model.armature.copy()  # of drives, which no description has
+    return heavier

@@ -1,4 +1,10 @@
-"""URDF text -> a checked XML tree: strict numbers, a sound tree, masses that can exist."""
+"""URDF text -> a checked XML tree: strict numbers, a sound tree, masses that can exist.
+
+`parse_urdf` refuses what cannot be read in one way only; `check_inertias` refuses masses and
+moments that no body has, and names those in doubt; the other functions read a checked tree.
+"""
+
+from __future__ import annotations
 
 import math
 import re
@@ -7,41 +13,11 @@ from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 
 from mbd_ros.core.ranges import LARGEST
+from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-
-# ---- urdf reading -----------------------------------------------------------------------------
-# Numbers of an attribute and links of a joint, from a checked URDF.
-
-
-def numbers(element: ElementTree.Element | None, attribute: str, default: str) -> list[float]:
-    """Numbers of one attribute that has been checked before."""
-    text = default if element is None else element.get(attribute, default)
-    return [float(word) for word in text.split()]
-
-
-def link_name(joint: ElementTree.Element, role: str) -> str:
-    """Name of the `parent` or `child` link of a checked joint."""
-    element = joint.find(role)
-    assert element is not None
-    return element.get("link", "")
-
-
-def joint_kinds(tree: ElementTree.Element) -> dict[str, str]:
-    """Joint -> its type."""
-    return {e.get("name", ""): e.get("type", "") for e in tree.findall("joint")}
-
-
-def has_effort_limit(joint: ElementTree.Element) -> bool:
-    """Whether the description limits the effort of a joint."""
-    limit = joint.find("limit")
-    return limit is not None and "effort" in limit.attrib
-
-
-# ---- urdf -------------------------------------------------------------------------------------
-# URDF text -> a checked XML tree: strict numbers and a sound tree.
-
 
 MAX_CHARACTERS = 16 * 1024 * 1024
 MAX_NAME = 255
@@ -60,6 +36,16 @@ _NUMERIC_ATTRIBUTES = {
     "mimic": {"multiplier": 1, "offset": 1},
     "dynamics": {"damping": 1, "friction": 1},
 }
+_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
+_ROUNDED = 1.0e-3  # of the largest moment: published tensors have three digits, turned they mix
+_POINT = 1.0e-8  # m^2: a tenth of a millimetre as radius of gyration
+_EXACT_TRIANGLE = 1.0e-6  # relative
+_MEASURED = 0.1  # of the largest moment: moments from swinging parts are as wrong as that
+_ASYMMETRIC = 1.0e-9  # of the largest entry
+_EXPECTED = (
+    "expected a pinocchio.Inertia, or mass [kg], mass centre [m] of 3 numbers and inertia about "
+    "it [kg·m^2] of 3 x 3"
+)
 
 
 def parse_urdf(
@@ -71,9 +57,6 @@ def parse_urdf(
         text: The URDF.
         source: File or topic it came from, for the messages.
         inertias: Of links, in place of those of the text, see `place_inertias`.
-
-    Returns:
-        The `<robot>` element.
 
     Raises:
         ModelError: Names source, link or joint, attribute and what is wrong.
@@ -92,8 +75,6 @@ def parse_urdf(
         raise ModelError(f"{source}: root element is <{robot.tag}>, expected <robot>")
     _check_names(robot, source)
     if inertias:
-        from mbd_ros.core.model.robot_reader import place_inertias
-
         place_inertias(robot, inertias, source)
     _check_numbers(robot, source)
     _check_joints(robot, source)
@@ -121,15 +102,6 @@ def _check_names(robot: ElementTree.Element, source: str) -> None:
         raise ModelError(f"{source}: no <link>")
 
 
-def _numeric_elements(robot: ElementTree.Element) -> Iterator[tuple[str, ElementTree.Element]]:
-    for owner in (*robot.findall("link"), *robot.findall("joint")):
-        where = f"{owner.tag} '{owner.get('name')}'"
-        scope = owner.findall("inertial") if owner.tag == "link" else [owner]
-        for element in scope:
-            for child in element:
-                yield where, child
-
-
 def _check_numbers(robot: ElementTree.Element, source: str) -> None:
     for where, element in _numeric_elements(robot):
         for attribute, count in _NUMERIC_ATTRIBUTES.get(element.tag, {}).items():
@@ -143,6 +115,15 @@ def _check_numbers(robot: ElementTree.Element, source: str) -> None:
                 raise ModelError(f"{what}: expected {expected} such as 1.5e-3")
             if element.tag != _WITHOUT_RANGE and max(abs(float(w)) for w in words) > LARGEST:
                 raise ModelError(f"{what}: accepted are {-LARGEST:g} .. {LARGEST:g}")
+
+
+def _numeric_elements(robot: ElementTree.Element) -> Iterator[tuple[str, ElementTree.Element]]:
+    for owner in (*robot.findall("link"), *robot.findall("joint")):
+        where = f"{owner.tag} '{owner.get('name')}'"
+        scope = owner.findall("inertial") if owner.tag == "link" else [owner]
+        for element in scope:
+            for child in element:
+                yield where, child
 
 
 def _check_joints(robot: ElementTree.Element, source: str) -> None:
@@ -188,17 +169,6 @@ def _check_tree(robot: ElementTree.Element, source: str) -> None:
             if name in seen:
                 raise ModelError(f"{source}: links form a cycle through '{name}'")
             seen.add(name)
-
-
-# ---- urdf inertias ----------------------------------------------------------------------------
-# Whether the masses and inertias of a URDF can exist, and move.
-
-
-_MOMENTS = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
-_ROUNDED = 1.0e-3  # of the largest moment: published tensors have three digits, turned they mix
-_POINT = 1.0e-8  # m^2: a tenth of a millimetre as radius of gyration
-_EXACT_TRIANGLE = 1.0e-6  # relative
-_MEASURED = 0.1  # of the largest moment: moments from swinging parts are as wrong as that
 
 
 def check_inertias(
@@ -252,7 +222,13 @@ def _check_complete(inertial: ElementTree.Element, where: str) -> None:
             raise ModelError(f"{where}: <{tag}> lacks {', '.join(lacking)}")
 
 
-def _refuse(mass: float, tensor: np.ndarray, where: str, any_inertias: bool) -> None:
+def _tensor(inertial: ElementTree.Element) -> Array:
+    element = inertial.find("inertia")
+    xx, xy, xz, yy, yz, zz = (numbers(element, key, "0")[0] for key in _MOMENTS)
+    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+
+
+def _refuse(mass: float, tensor: Array, where: str, any_inertias: bool) -> None:
     if mass < 0:
         raise ModelError(f"{where}: mass is {mass:g} kg, expected > 0")
     if any_inertias:
@@ -270,16 +246,7 @@ def _refuse(mass: float, tensor: np.ndarray, where: str, any_inertias: bool) -> 
         )
 
 
-def is_impossible(mass: float, tensor: np.ndarray) -> bool:
-    """Whether `check_inertias` refuses moments, by more than measuring errors."""
-    try:
-        _refuse(mass, tensor, "", False)
-    except ModelError:
-        return mass >= 0
-    return False
-
-
-def _doubts(mass: float, tensor: np.ndarray, moves: bool) -> Iterator[str]:
+def _doubts(mass: float, tensor: Array, moves: bool) -> Iterator[str]:
     if mass == 0:
         if tensor.any():
             yield "inertia without mass"
@@ -298,12 +265,6 @@ def _doubts(mass: float, tensor: np.ndarray, moves: bool) -> Iterator[str]:
         )
 
 
-def _tensor(inertial: ElementTree.Element) -> np.ndarray:
-    element = inertial.find("inertia")
-    xx, xy, xz, yy, yz, zz = (numbers(element, key, "0")[0] for key in _MOMENTS)
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-
-
 def _without_mass(robot: ElementTree.Element, moving: set[str], heavy: set[str]) -> Iterator[str]:
     parent = {link_name(j, "child"): link_name(j, "parent") for j in robot.findall("joint")}
     carried = set(heavy)
@@ -312,3 +273,102 @@ def _without_mass(robot: ElementTree.Element, moving: set[str], heavy: set[str])
             carried.add(name)
     for name in sorted(moving - carried):
         yield f"link '{name}' moves, but neither it nor what it carries has mass"
+
+
+def is_impossible(mass: float, tensor: Array) -> bool:
+    """Whether `check_inertias` refuses moments, by more than measuring errors."""
+    try:
+        _refuse(mass, tensor, "", False)
+    except ModelError:
+        return mass >= 0
+    return False
+
+
+def place_inertias(robot: ElementTree.Element, inertias: Mapping[str, Any], source: str) -> None:
+    """Put inertias into a description; its checks come afterwards.
+
+    Args:
+        robot: The `<robot>` element, changed in place.
+        inertias: Link -> `pinocchio.Inertia` or (mass [kg], mass centre [m], shape (3,), inertia
+            about the mass centre [kg·m^2], shape (3, 3)), both in the axes of the link.
+        source: File or topic of the description, for the messages.
+
+    Raises:
+        ModelError: There is no such link, or the numbers have another shape.
+    """
+    links = {link.get("name", ""): link for link in robot.findall("link")}
+    for name, inertia in inertias.items():
+        if name not in links:
+            raise ModelError(f"{source}: no link '{name}'; the links are {', '.join(links)}")
+        mass, centre, tensor = _numbers(inertia, f"{source}: link '{name}'")
+        link = links[name]
+        for old in link.findall("inertial"):
+            link.remove(old)
+        inertial = ElementTree.SubElement(link, "inertial")
+        words = " ".join(repr(float(value)) for value in centre)
+        ElementTree.SubElement(inertial, "origin", {"xyz": words})
+        ElementTree.SubElement(inertial, "mass", {"value": repr(mass)})
+        upper = (repr(float(value)) for value in tensor[np.triu_indices(3)])
+        moments = dict(zip(_MOMENTS, upper, strict=True))
+        ElementTree.SubElement(inertial, "inertia", moments)
+
+
+def _numbers(inertia: Any, where: str) -> tuple[float, Array, Array]:
+    if isinstance(inertia, pin.Inertia):
+        inertia = (inertia.mass, inertia.lever, inertia.inertia)
+    try:
+        mass, centre, tensor = (np.array(value, dtype=np.float64) for value in inertia)
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"{where}: {_EXPECTED}") from error
+    if (mass.shape, centre.shape, tensor.shape) != ((), (3,), (3, 3)):
+        raise ModelError(f"{where}: {_EXPECTED}")
+    if np.abs(tensor - tensor.T).max() > _ASYMMETRIC * np.abs(tensor).max():
+        raise ModelError(f"{where}: inertia is not symmetric")
+    return float(mass), centre, tensor
+
+
+def inertias_of(robot: ElementTree.Element) -> dict[str, Any]:
+    """Link -> `pinocchio.Inertia` of a checked description, 0 where it says nothing."""
+    inertias = {}
+    for link in robot.findall("link"):
+        inertial = link.find("inertial")
+        if inertial is None:
+            inertias[link.get("name", "")] = pin.Inertia.Zero()
+            continue
+        placement = inertial.find("origin")
+        R = pin.rpy.rpyToMatrix(np.array(numbers(placement, "rpy", "0 0 0")))
+        centre = np.array(numbers(placement, "xyz", "0 0 0"))
+        mass = numbers(inertial.find("mass"), "value", "0")[0]
+        inertias[link.get("name", "")] = pin.Inertia(mass, centre, R @ _tensor(inertial) @ R.T)
+    return inertias
+
+
+def numbers(element: ElementTree.Element | None, attribute: str, default: str) -> list[float]:
+    """Numbers of one attribute that has been checked before."""
+    text = default if element is None else element.get(attribute, default)
+    return [float(word) for word in text.split()]
+
+
+def link_name(joint: ElementTree.Element, role: str) -> str:
+    """Name of the `parent` or `child` link of a checked joint."""
+    element = joint.find(role)
+    assert element is not None
+    return element.get("link", "")
+
+
+def root_link(tree: ElementTree.Element) -> str:
+    """Name of the link that no joint carries."""
+    carried = {link_name(joint, "child") for joint in tree.findall("joint")}
+    names = (link.get("name", "") for link in tree.findall("link"))
+    return next(name for name in names if name not in carried)
+
+
+def joint_kinds(tree: ElementTree.Element) -> dict[str, str]:
+    """Joint -> its type."""
+    return {e.get("name", ""): e.get("type", "") for e in tree.findall("joint")}
+
+
+def has_effort_limit(joint: ElementTree.Element) -> bool:
+    """Whether the description limits the effort of a joint."""
+    limit = joint.find("limit")
+    return limit is not None and "effort" in limit.attrib

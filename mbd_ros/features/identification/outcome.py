@@ -11,7 +11,7 @@ import numpy as np
 import pinocchio as pin
 import yaml
 
-from mbd_ros.core.model.robot_reader import place_inertias
+from mbd_ros.core.model.urdf import place_inertias
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, SceneError
 from mbd_ros.features.identification.base_parameters import parameter_name
