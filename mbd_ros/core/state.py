@@ -158,20 +158,3 @@ def is_same(one: State, other: State) -> bool:
 def _like(value: Any) -> Any:
     """What makes a tuple, or a named one, of the same kind."""
     return getattr(type(value), "_make", tuple)
-
-
-# ---- vectors ----------------------------------------------------------------------------------
-# Products of many vectors at once.
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Products a x b of vectors in the last axis, broadcast; np.cross takes several times as long.
-
-    Args:
-        a: Shape (.., 3).
-        b: Shape (.., 3).
-    """
-    out = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
-        out[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
-    return out

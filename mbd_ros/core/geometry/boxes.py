@@ -12,10 +12,7 @@ import numpy as np
 from mbd_ros.core.geometry.feature_gaps import (
     Meeting,
     Touch,
-    crossed,
-    dotted,
     framed,
-    lengths,
     nearest_bases,
 )
 from mbd_ros.core.geometry.shapes import CORNERS
@@ -23,6 +20,7 @@ from mbd_ros.core.geometry.simple_bodies import BESIDE
 from mbd_ros.core.kinematics.relative_motion import PairMotion
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
+from mbd_ros.core.vectors import cross, dot, lengths
 
 _ACROSS = 0.1  # sine of the angle of two edges from which their crossing has a normal of its own
 _OTHERS = ((1, 2), (2, 0), (0, 1))  # axes of a face
@@ -105,7 +103,7 @@ class BoxOnBox(Meeting):
             best, normal = apart_b[b], np.copysign(np.eye(3)[b], o[b])
         else:
             best, normal = apart_a[a], R[:, a] * np.copysign(1.0, seen[a])
-        axes = crossed(np.eye(3)[:, None], R.T[None]).reshape(-1, 3)
+        axes = cross(np.eye(3)[:, None], R.T[None]).reshape(-1, 3)
         length = lengths(axes)
         axes = axes[length > _ACROSS] / length[length > _ACROSS, None]
         if len(axes):
@@ -147,18 +145,18 @@ class BoxOnBox(Meeting):
         reached = start + share[:, None] * along
         at = others[side]
         corner[rows, at] = np.copysign(self._b[at], reached[rows, at].real)
-        across = crossed(along, edge)
+        across = cross(along, edge)
         length, whole = lengths(across), lengths(along)
         skew = length.real > _ACROSS * whole.real
         safe = np.where(skew, length, 1.0)[:, None]
         own = across / safe * np.where(across.real.dot(faces.normal) < 0.0, -1.0, 1.0)[:, None]
         normal = np.where(skew[:, None], own, faces.normal)
-        level = crossed(edge, across)
-        exact = dotted(corner - start, level) / np.where(skew, length**2, 1.0)
+        level = cross(edge, across)
+        exact = dot(corner - start, level) / np.where(skew, length**2, 1.0)
         share = np.where(skew, exact, share)
         point = start + share[:, None] * along
         beyond = point - np.where(edge > 0.0, point, corner)
-        gap = dotted(beyond, normal)
+        gap = dot(beyond, normal)
         on_b = self._b[others[1 - side]] - np.abs(point[rows, others[1 - side]].real)
         on_a = np.minimum(share.real, 1.0 - share.real) * whole.real
         is_inside = np.minimum(np.minimum(on_a, on_b), length.real) > self._beside

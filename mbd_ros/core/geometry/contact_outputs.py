@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.contracts import Kind, Output, Value, Wrench, exerted_on
 from mbd_ros.core.geometry.contact_pair import ContactPair
-from mbd_ros.core.geometry.feature_gaps import crossed
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.vectors import cross
 
 OPEN, SLIP, STICK = 0.0, 1.0, 2.0
 _AT_BOUND = 1.0 - 1.0e-9  # of the largest friction: from here on it slips
@@ -151,5 +151,5 @@ class ContactShow:
         total = float(normal.sum())
         centre = normal.dot(point) / total if total > 0.0 else point[int(np.argmin(gaps))]
         each = np.matmul(axes, forces[:, [1, 2, 0], None])[:, :, 0]
-        torque = crossed(point - centre, each).sum(axis=0)
+        torque = cross(point - centre, each).sum(axis=0)
         return Resultant(centre, each.sum(axis=0), torque, normal.dot(axes[:, :, 2]))

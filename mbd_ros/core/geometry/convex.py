@@ -17,10 +17,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.geometry.feature_gaps import (
     Meeting,
     Touch,
-    crossed,
-    dotted,
     framed,
-    lengths,
     nearest_bases,
 )
 from mbd_ros.core.geometry.shapes import Polyhedron
@@ -28,6 +25,7 @@ from mbd_ros.core.geometry.simple_bodies import BESIDE
 from mbd_ros.core.kinematics.relative_motion import PairMotion
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
+from mbd_ros.core.vectors import cross, dot, lengths
 
 # ---- convex -----------------------------------------------------------------------------------
 # A convex body with flat faces on another one: the region that two faces share.
@@ -43,13 +41,13 @@ _CORNERS = np.array(((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)))
 def inside(points: Array, outline: Array, up: Array, beside: float) -> NDArray[np.bool_]:
     """Which points are inside an outline, seen along a direction, or so far beside it."""
     along = np.roll(outline, -1, axis=0) - outline
-    inward = crossed(up, along.real)
+    inward = cross(up, along.real)
     length = lengths(inward)
     some = length > 0.0
     if not some.any():  # so far away that its corners are one
         return np.zeros(len(points), dtype=bool)
     inward = inward[some] / length[some, None]
-    depth = points.real @ inward.T - dotted(outline.real[some], inward)
+    depth = points.real @ inward.T - dot(outline.real[some], inward)
     inside: NDArray[np.bool_] = depth.min(axis=1) >= -beside
     return inside
 
@@ -71,26 +69,26 @@ def crossings(
     """
     (outline, along), (base, edge) = _edges(outline), _edges(base)
     offset = base[None] - outline[:, None]
-    across = crossed(along[:, None], edge[None]) @ up
+    across = cross(along[:, None], edge[None]) @ up
     long, wide = lengths(along.real)[:, None], lengths(edge.real)[None]
     is_crossing = np.abs(across.real) > np.maximum(STRAIGHT * long, beside) * wide
     safe = np.where(is_crossing, across, 1.0)
-    own = (crossed(offset, edge[None]) @ up) / safe
-    other = (crossed(offset, along[:, None]) @ up) / safe
+    own = (cross(offset, edge[None]) @ up) / safe
+    other = (cross(offset, along[:, None]) @ up) / safe
     is_crossing &= np.minimum(own.real, 1.0 - own.real) * long > beside
     is_crossing &= np.minimum(other.real, 1.0 - other.real) * wide > beside
     first, second = np.nonzero(is_crossing)
     along, edge, start, end = along[first], edge[second], outline[first], base[second]
-    cross = crossed(along, edge)
-    length = lengths(cross)
+    out = cross(along, edge)
+    length = lengths(out)
     is_skew = length.real > _ACROSS * long[first, 0] * wide[0, second]
     some = np.where(is_skew, length, 1.0)
-    sign = np.where(cross.real @ normal < 0.0, -1.0, 1.0)
-    normals = np.where(is_skew[:, None], cross * (sign / some)[:, None], normal)
-    exact = dotted(end - start, crossed(edge, cross)) / some**2
+    sign = np.where(out.real @ normal < 0.0, -1.0, 1.0)
+    normals = np.where(is_skew[:, None], out * (sign / some)[:, None], normal)
+    exact = dot(end - start, cross(edge, out)) / some**2
     points = start + np.where(is_skew, exact, own[first, second])[:, None] * along
     below = np.where(is_skew[:, None], end, end + other[first, second][:, None] * edge)
-    return dotted(points - below, normals), points, normals
+    return dot(points - below, normals), points, normals
 
 
 def _edges(ring: Array) -> tuple[Array, Array]:
@@ -245,7 +243,7 @@ class ConvexOnConvex(Meeting):
         if a.faces:
             under = base[inside(base, outline, down.real, self._beside)]
         if len(over) and len(under):  # what coincides is a corner of a
-            ways = lengths(crossed(under.real[:, None] - over.real[None], up.real))
+            ways = lengths(cross(under.real[:, None] - over.real[None], up.real))
             under = under[ways.min(axis=1) > 2.0 * self._beside]
         crossing = crossings(outline, base, up.real, apart.normal, self._beside)
         faces = (
@@ -276,7 +274,7 @@ class ConvexOnConvex(Meeting):
             return crossing or ((point - base) @ normal, point, normal)
         if self._round and len(ends_a) + len(ends_b) <= 3:
             way, point = _way(ends_a, ends_b)
-            gap = np.sqrt(dotted(way, way))
+            gap = np.sqrt(dot(way, way))
             return gap, point, way / gap
         return (point - base) @ normal, point, normal
 
@@ -284,12 +282,12 @@ class ConvexOnConvex(Meeting):
 def _crossing(a: Array, b: Array, out: Array) -> tuple[Array, Array, Array] | None:
     """Gap, point on a and normal of two lines that cross; None where they are parallel."""
     along, edge = a[1] - a[0], b[1] - b[0]
-    across = crossed(along, edge)
-    square = dotted(across, across)
-    if square.real <= STRAIGHT**2 * dotted(along, along).real * edge.dot(edge):
+    across = cross(along, edge)
+    square = dot(across, across)
+    if square.real <= STRAIGHT**2 * dot(along, along).real * edge.dot(edge):
         return None
     normal = across / np.sqrt(square) * (1.0 if across.real @ out > 0.0 else -1.0)
-    point = a[0] + dotted(b[0] - a[0], crossed(edge, across)) / square * along
+    point = a[0] + dot(b[0] - a[0], cross(edge, across)) / square * along
     return (point - b[0]) @ normal, point, normal
 
 
@@ -297,12 +295,12 @@ def _way(a: Array, b: Array) -> tuple[Array, Array]:
     """From the nearest point of b to that of a, and this; one of both may be a line."""
     if len(a) > 1:
         along = a[1] - a[0]
-        point = a[0] + dotted(b[0] - a[0], along) / dotted(along, along) * along
+        point = a[0] + dot(b[0] - a[0], along) / dot(along, along) * along
         return point - b[0], point
     way = a[0] - b[0]
     if len(b) > 1:
         along = b[1] - b[0]
-        way = way - dotted(way, along) / dotted(along, along) * along
+        way = way - dot(way, along) / dot(along, along) * along
     return way, a[0]
 
 
@@ -318,62 +316,3 @@ def _hull(body: Polyhedron) -> Any:
         for second, third in itertools.pairwise(rest):
             triangles.append(coal.Triangle(first, second, third))
     return coal.Convex(points, triangles)
-
-
-# ---- mesh distance ----------------------------------------------------------------------------
-# Signed distances of points to a convex body with flat faces.
-
-
-class ToMesh:
-    """Signed distances to a polyhedron and outward normals.
-
-    Args:
-        body: The polyhedron.
-        beside: How far beside a face a point still counts as on it [m].
-    """
-
-    def __init__(self, body: Polyhedron, beside: float) -> None:
-        self._body, self._beside = body, beside
-        rings = [body.vertices[face] for face in body.faces]
-        self._starts = np.concatenate(rings)
-        self._along = np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings])
-        self._squares = dotted(self._along, self._along)
-        sizes = [len(ring) for ring in rings]
-        self._first = np.cumsum([0, *sizes[:-1]])
-        outward = crossed(self._along, np.repeat(body.normals, sizes, axis=0))
-        self._outward = outward / lengths(outward)[:, None]
-        self._edge_offsets = dotted(self._outward, self._starts)
-
-    def __call__(self, centre: Array) -> tuple[Array, Array]:
-        """Distances and normals of points in the axes of the body, shape (n, 3)."""
-        body = self._body
-        height = centre @ body.normals.T - body.offsets
-        aside = np.maximum.reduceat(
-            centre.real @ self._outward.T - self._edge_offsets, self._first, axis=1
-        )
-        over = aside <= self._beside
-        rows, highest = np.arange(len(centre)), np.argmax(height.real, axis=1)
-        is_inside = height.real[rows, highest] <= 0.0
-        common = int(np.argmax(height.real.min(axis=0)))  # one face for all points over it
-        is_near = is_inside | (height.real[:, common] >= -self._beside)
-        face = np.where(over[:, common] & is_near, common, highest)
-        gap, normal = height[rows, face], body.normals[face].astype(centre.dtype)
-        on_face = is_inside | over[rows, face]
-        if not on_face.all():
-            far, away = self._to_edges(centre)
-            gap = np.where(on_face, gap, far)
-            normal = np.where(on_face[:, None], normal, away)
-        return gap, normal
-
-    def _to_edges(self, centre: Array) -> tuple[Array, Array]:
-        """Distance to the nearest edge, and the direction from there."""
-        offset = centre[:, None] - self._starts
-        share = dotted(offset, self._along) / self._squares
-        share = np.where(share.real < 0.0, 0.0, np.where(share.real > 1.0, 1.0, share))
-        away = offset - share[:, :, None] * self._along
-        square = dotted(away, away)
-        nearest = np.argmin(square.real, axis=1)
-        rows = np.arange(len(centre))
-        length = np.sqrt(square[rows, nearest])
-        safe = np.where(length.real > 0.0, length, 1.0)
-        return length, away[rows, nearest] / safe[:, None]

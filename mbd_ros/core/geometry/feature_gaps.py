@@ -18,6 +18,7 @@ import numpy as np
 from mbd_ros.core.kinematics.relative_motion import PairMotion, Pose
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array, is_symbol
+from mbd_ros.core.vectors import cross, dot
 
 # ---- frames -----------------------------------------------------------------------------------
 # Cross products and contact frames of many features at once; complex numbers go, too.
@@ -27,25 +28,6 @@ _OPPOSITE = 1.0e-12  # half the square of a sum of unit vectors that are opposit
 _CORNERS = np.stack([np.roll(np.eye(3), -axis, axis=0) for axis in range(3)])
 BASES = np.stack((_CORNERS, _CORNERS * np.array(((-1.0,), (1.0,), (-1.0,)))), axis=1)
 """Right-handed bases along the axes, rows: of axis i upwards and downwards, (3, 2, 3, 3)."""
-
-
-def crossed(a: Array, b: Array) -> Array:
-    """Cross product a x b along the last axis, many times faster than numpy's for few of them."""
-    ax, ay, az = a[..., 0], a[..., 1], a[..., 2]
-    bx, by, bz = b[..., 0], b[..., 1], b[..., 2]
-    return np.stack((ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx), axis=-1)
-
-
-def dotted(a: Array, b: Array) -> Array:
-    """Scalar products of rows, shape (n,)."""
-    product: Array = np.einsum("...j,...j->...", a, b)
-    return product
-
-
-def lengths(vectors: Array) -> Array:
-    """Lengths of rows, shape (n,)."""
-    length: Array = np.sqrt(dotted(vectors, vectors))
-    return length
 
 
 def directions(vectors: Array, length: Array, otherwise: Array) -> Array:
@@ -84,10 +66,10 @@ def framed(normal: Array, basis: Array) -> Array:
         basis: Normal and tangents, rows, shape (3, 3), or one each, shape (n, 3, 3).
     """
     total = normal + basis[..., 0, :]
-    square = dotted(total, total) / 2.0
+    square = dot(total, total) / 2.0
     is_traced = is_symbol(square.flat[0])
     is_opposite = np.zeros(len(square), np.bool_) if is_traced else square.real < _OPPOSITE
-    share = dotted(basis[..., 1:, :], normal[:, None])
+    share = dot(basis[..., 1:, :], normal[:, None])
     share = share / np.where(is_opposite, 1.0, square)[:, None]
     axes = np.empty((len(normal), 3, 3), dtype=total.dtype)
     axes[:, 0] = normal
@@ -169,11 +151,11 @@ class Meeting:
         placed = seen.placed()
         v, a, omega, alpha = seen.moving(placed or seen.place())
         pose = seen.pose()
-        rates = Pose(crossed(omega, pose.rotation.T).T, v)
+        rates = Pose(cross(omega, pose.rotation.T).T, v)
         (_, lever, axes), (_, lever_rate, turning) = seen.along(self.touch, pose, rates)
         axes_rate = _unspun(axes, turning)
-        slip = v + crossed(omega, lever)
-        a = a + crossed(alpha, lever) + crossed(omega, lever_rate)
+        slip = v + cross(omega, lever)
+        a = a + cross(alpha, lever) + cross(omega, lever_rate)
         drift = np.einsum("nij,nj->ni", axes, a) + np.einsum("nij,nj->ni", axes_rate, slip)
         return _rows(lever, axes).dot(seen.jacobian(placed, _ALL)), drift.ravel()
 
@@ -187,5 +169,5 @@ def _unspun(axes: Array, rate: Array) -> Array:
 
 def _rows(lever: Array, axes: Array) -> Array:
     """From the velocity of the moving body to those of its features, shape (3 n, 6)."""
-    rows: Array = np.concatenate((axes, crossed(lever[:, None], axes)), axis=2).reshape(-1, 6)
+    rows: Array = np.concatenate((axes, cross(lever[:, None], axes)), axis=2).reshape(-1, 6)
     return rows

@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.geometry.feature_gaps import crossed, lengths
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
+from mbd_ros.core.vectors import cross, lengths
 from mbd_ros.errors import ModelError
 
 # ---- polyhedron -------------------------------------------------------------------------------
@@ -70,7 +70,7 @@ def polyhedron(vertices: Array, triangles: NDArray[np.intp]) -> Polyhedron:
     """
     size = float(np.linalg.norm(np.ptp(vertices, axis=0)))
     corners = vertices[triangles]
-    normals = crossed(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = lengths(normals)
     real = area > _FLAT**2 * size**2
     if not real.any():

@@ -8,16 +8,15 @@ import numpy as np
 from mbd_ros.core.geometry.feature_gaps import (
     Meeting,
     Touch,
-    crossed,
     directions,
     framed,
-    lengths,
     nearest_bases,
 )
-from mbd_ros.core.geometry.shapes import Balls, Box, Capsule, Cylinder, Mesh
+from mbd_ros.core.geometry.shapes import Balls, Box, Capsule, Cylinder, Mesh, Polyhedron
 from mbd_ros.core.kinematics.relative_motion import PairMotion
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array, is_symbol
+from mbd_ros.core.vectors import cross, dot, lengths
 
 # ---- spheres ----------------------------------------------------------------------------------
 # Balls over a plane and over balls, whose gaps are as smooth as the motion of the bodies.
@@ -48,7 +47,7 @@ class BallsOnPlane(Meeting):
         self._radius: float | None = None
         if n == 1:  # its centre is the origin of the moving body
             self._radius = float(balls.radii[0])
-            self._rows[0, :, 3:] = crossed(self._down, PLANE_AXES)
+            self._rows[0, :, 3:] = cross(self._down, PLANE_AXES)
 
     def gaps(self, seen: PairMotion) -> Array:
         """Distances of the surfaces [m], shape (n,)."""
@@ -181,9 +180,7 @@ def _distance_to(solid: Box | Capsule | Cylinder | Mesh) -> tuple[Distance, str]
     if isinstance(solid, Cylinder):
         return _to_cylinder(solid.radius, solid.length / 2.0), "cylinder"
     if isinstance(solid, Mesh):
-        from mbd_ros.core.geometry.convex import ToMesh
-
-        return ToMesh(solid.body, BESIDE * solid.body.size), "mesh"
+        return _to_mesh(solid.body, BESIDE * solid.body.size), "mesh"
     return _to_box(solid.sides / 2.0), "box"
 
 
@@ -264,6 +261,51 @@ def _to_cylinder(radius: float, half: float) -> Distance:
     return distance
 
 
+def _to_mesh(body: Polyhedron, beside: float) -> Distance:
+    """Distances to a convex body with flat faces; points so far beside a face [m] are over it."""
+    rings = [body.vertices[face] for face in body.faces]
+    starts = np.concatenate(rings)
+    along = np.concatenate([np.roll(ring, -1, axis=0) - ring for ring in rings])
+    squares = dot(along, along)
+    sizes = [len(ring) for ring in rings]
+    first = np.cumsum([0, *sizes[:-1]])
+    outward = cross(along, np.repeat(body.normals, sizes, axis=0))
+    outward = outward / lengths(outward)[:, None]
+    edge_offsets = dot(outward, starts)
+
+    def distance(centre: Array) -> tuple[Array, Array]:
+        height = centre @ body.normals.T - body.offsets
+        aside = np.maximum.reduceat(centre.real @ outward.T - edge_offsets, first, axis=1)
+        over = aside <= beside
+        rows, highest = np.arange(len(centre)), np.argmax(height.real, axis=1)
+        is_inside = height.real[rows, highest] <= 0.0
+        common = int(np.argmax(height.real.min(axis=0)))  # one face for all points over it
+        is_near = is_inside | (height.real[:, common] >= -beside)
+        face = np.where(over[:, common] & is_near, common, highest)
+        gap, normal = height[rows, face], body.normals[face].astype(centre.dtype)
+        on_face = is_inside | over[rows, face]
+        if not on_face.all():
+            far, away = to_edges(centre)
+            gap = np.where(on_face, gap, far)
+            normal = np.where(on_face[:, None], normal, away)
+        return gap, normal
+
+    def to_edges(centre: Array) -> tuple[Array, Array]:
+        """Distance to the nearest edge, and the direction from there."""
+        offset = centre[:, None] - starts
+        share = dot(offset, along) / squares
+        share = np.where(share.real < 0.0, 0.0, np.where(share.real > 1.0, 1.0, share))
+        away = offset - share[:, :, None] * along
+        square = dot(away, away)
+        nearest = np.argmin(square.real, axis=1)
+        rows = np.arange(len(centre))
+        length = np.sqrt(square[rows, nearest])
+        safe = np.where(length.real > 0.0, length, 1.0)
+        return length, away[rows, nearest] / safe[:, None]
+
+    return distance
+
+
 # ---- cylinder ---------------------------------------------------------------------------------
 # A cylinder over a plane: each rim touches with its lowest point and three more around it.
 
@@ -303,7 +345,7 @@ class CylinderOnPlane(Meeting):
         down[2] -= 1.0  # what of -z is across the axis
         sine = np.sqrt(down.dot(down))
         low = -R[:, 0] if sine.real < _UPRIGHT else down / sine
-        left = crossed(along, low) * along[2] ** 2
+        left = cross(along, low) * along[2] ** 2
         rim = self._radius * np.stack((low, left, -low, -left))
         end = self._half * along
         lever = np.concatenate((rim - end, rim + end))

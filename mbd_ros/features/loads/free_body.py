@@ -22,7 +22,8 @@ from mbd_ros.core.model.robot_reader import root_link
 from mbd_ros.core.model.urdf import link_name, parse_urdf
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.state import NONE, Array, State, cross
+from mbd_ros.core.state import NONE, Array, State
+from mbd_ros.core.vectors import cross
 from mbd_ros.errors import ModelError
 
 # ---- acting wrenches --------------------------------------------------------------------------

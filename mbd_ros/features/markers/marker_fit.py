@@ -24,8 +24,9 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.optimization.box_qp import box_moves
 from mbd_ros.core.rows.constraint import Constraint, Level
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
-from mbd_ros.core.state import Array, State, cross
+from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import ASSEMBLED, BRANCH_STEP, LANDED
+from mbd_ros.core.vectors import cross
 from mbd_ros.errors import SolveError
 
 # ---- marker cost ------------------------------------------------------------------------------

@@ -23,7 +23,8 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
 from mbd_ros.core.rows.coupling_rows import CouplingRows
-from mbd_ros.core.state import NONE, Array, State, cross
+from mbd_ros.core.state import NONE, Array, State
+from mbd_ros.core.vectors import cross
 from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
 

@@ -14,7 +14,8 @@ from mbd_ros.core.loads.loads import BodyLoads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.core.state import NONE, Array, State, cross
+from mbd_ros.core.state import NONE, Array, State
+from mbd_ros.core.vectors import cross
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.inverse_dynamics.reserves import CoordinateReserve, Reserve
 

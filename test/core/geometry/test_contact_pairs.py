@@ -10,7 +10,7 @@ from mechanisms import scene_of
 from scipy.spatial import ConvexHull
 
 from mbd_ros.core.geometry.contact_pair import contact_pair
-from mbd_ros.core.geometry.convex import ToMesh, inside
+from mbd_ros.core.geometry.convex import inside
 from mbd_ros.core.geometry.shapes import (
     Between,
     Box,
@@ -21,7 +21,7 @@ from mbd_ros.core.geometry.shapes import (
     line_of,
     polyhedron,
 )
-from mbd_ros.core.geometry.simple_bodies import _to_box
+from mbd_ros.core.geometry.simple_bodies import _to_box, _to_mesh
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import State
 
@@ -385,7 +385,7 @@ def nearing_hulls(a, b, pose, distance):
 
 def along_line(ends, body):
     """Distance of a line to a body; distances of its points are a convex function along it."""
-    low, high, distance = 0.0, 1.0, ToMesh(body, 0.0) if body.faces else None
+    low, high, distance = 0.0, 1.0, _to_mesh(body, 0.0) if body.faces else None
     for _ in range(5):
         share = np.linspace(low, high, 41)[:, None]
         points = (1.0 - share) * ends[0] + share * ends[1]
@@ -432,7 +432,7 @@ def test_a_mesh_stands_on_a_box_at_the_corners_of_what_they_share():
 def test_a_mesh_of_a_box_is_the_box_for_balls(sides):
     """Random places inside and outside, one by one; both are signed distances of their own."""
     rng, sides = np.random.default_rng(10), np.array(sides)
-    mesh, box = ToMesh(box_of(sides), 1e-6), _to_box(sides / 2.0)
+    mesh, box = _to_mesh(box_of(sides), 1e-6), _to_box(sides / 2.0)
     for centre in rng.uniform(-1.0, 1.0, (300, 3)) * sides:
         gaps, normals = zip(mesh(centre[None]), box(centre[None]), strict=True)
         assert gaps[0] == pytest.approx(gaps[1], abs=1e-12)

@@ -12,9 +12,9 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Side,
     Surface,
     Touch,
-    dot,
 )
 from mbd_ros.core.state import Array
+from mbd_ros.core.vectors import dot
 
 _TURN = 2.0 * np.pi
 

@@ -20,11 +20,9 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Mask,
     Placed,
     Surface,
-    cross,
-    dot,
-    unit,
 )
 from mbd_ros.core.state import Array
+from mbd_ros.core.vectors import cross, dot, unit
 
 _STEPS = 30
 _LEAST = 2.0**-8  # share of a step that is taken whatever it does

@@ -14,11 +14,9 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Surface,
     Touch,
     across,
-    cross,
-    dot,
-    unit,
 )
 from mbd_ros.core.state import Array
+from mbd_ros.core.vectors import cross, dot, unit
 
 
 def crossing(a: Array, b: Array, radius: float = 1.0) -> tuple[Mask, Array]:

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
+from mbd_ros.core.vectors import cross, unit
 
 # ---- surface ----------------------------------------------------------------------------------
 # The contract of surfaces that paths wrap over.
@@ -117,28 +118,6 @@ class Surface:
 def dot3(a: Array, b: Array) -> Array:
     """Products of vectors whose components stand in the first axis."""
     return np.asarray(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
-
-
-def dot(a: Array, b: Array) -> Array:
-    """Products row by row, shape (n,)."""
-    return np.asarray(np.einsum("...i,...i->...", a, b))
-
-
-def unit(vectors: Array) -> Array:
-    """Rows of length 1; zero where they have none."""
-    length = np.sqrt(dot(vectors, vectors))[..., None]
-    return np.asarray(vectors / np.where(length > 0.0, length, 1.0))
-
-
-def cross(a: Array, b: Array) -> Array:
-    """Vector products row by row, shape (n, 3); faster than numpy's."""
-    a0, a1, a2 = a[..., 0], a[..., 1], a[..., 2]
-    b0, b1, b2 = b[..., 0], b[..., 1], b[..., 2]
-    product = np.empty(np.broadcast_shapes(a.shape, b.shape))
-    product[..., 0] = a1 * b2 - a2 * b1
-    product[..., 1] = a2 * b0 - a0 * b2
-    product[..., 2] = a0 * b1 - a1 * b0
-    return product
 
 
 def across(axis_of: Array) -> Array:

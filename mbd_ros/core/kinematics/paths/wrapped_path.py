@@ -19,14 +19,12 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Placed,
     Surface,
     Touch,
-    cross,
-    dot,
-    unit,
 )
 from mbd_ros.core.kinematics.sampled_kinematics import SampledKinematics
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.vectors import cross, dot, unit
 from mbd_ros.errors import SolveError
 
 # ---- routes -----------------------------------------------------------------------------------
