@@ -13,7 +13,7 @@ from mbd_ros.compiled.build.library import load
 from mbd_ros.compiled.code.source import Source
 from mbd_ros.compiled.symbols.path_tables import NATIVE, SURFACES, row_of, search_text
 from mbd_ros.core.kinematics.paths.paths import Path
-from mbd_ros.core.kinematics.paths.point_path import ViaPoint
+from mbd_ros.core.kinematics.paths.via_point import ViaPoint
 from mbd_ros.core.kinematics.paths.wrap_surface import Placed
 from mbd_ros.core.kinematics.paths.wrapped_path import Taut, taut
 from mbd_ros.core.model.couplings import Couplings, Slopes

@@ -3,7 +3,8 @@
 from typing import Annotated
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.kinematics.paths.point_path import ViaPoint, path_through
+from mbd_ros.core.kinematics.paths.point_path import path_through
+from mbd_ros.core.kinematics.paths.via_point import ViaPoint
 from mbd_ros.core.loads.path_load import PathLoad
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotNegative, Unit, Vector

@@ -10,17 +10,12 @@ import pinocchio as pin
 from mbd_ros.core.kinematics.paths.cylinder import Cylinder
 from mbd_ros.core.kinematics.paths.ellipsoid import Ellipsoid
 from mbd_ros.core.kinematics.paths.paths import JoinedPaths, JointPath, Path
-from mbd_ros.core.kinematics.paths.point_path import (
-    Interval,
-    MovingViaPoint,
-    ViaPoint,
-    path_through,
-)
+from mbd_ros.core.kinematics.paths.point_path import path_through
 from mbd_ros.core.kinematics.paths.polynomial_path import PolynomialPath
 from mbd_ros.core.kinematics.paths.sphere import Sphere
 from mbd_ros.core.kinematics.paths.torus import Torus
-from mbd_ros.core.kinematics.paths.wrap_surface import Side, Surface
-from mbd_ros.core.kinematics.paths.wrapped_path import Wrap
+from mbd_ros.core.kinematics.paths.via_point import Interval, MovingViaPoint, ViaPoint
+from mbd_ros.core.kinematics.paths.wrap_surface import Side, Surface, Wrap
 from mbd_ros.core.model.couplings import CouplingFunction, Linear, Polynomial
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Length, Positive, Unit, Unlimited, Vector

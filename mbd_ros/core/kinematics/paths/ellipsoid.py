@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from mbd_ros.core.kinematics.paths.geodesics import dot3, geodesics
 from mbd_ros.core.kinematics.paths.sphere import crossing
 from mbd_ros.core.kinematics.paths.wrap_surface import (
     MUST_WRAP,
@@ -14,8 +15,6 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Side,
     Surface,
     Touch,
-    dot3,
-    geodesics,
 )
 from mbd_ros.core.state import Array
 from mbd_ros.core.vectors import cross, dot, unit

@@ -8,6 +8,8 @@ Source: M. A. Sherman, A. Seth, S. L. Delp, What is a moment arm? Calculating mu
 in biomechanical models using generalized coordinates, ASME IDETC 2013, DETC2013-13633.
 """
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,26 +22,8 @@ from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.state import Array, State
 
 if TYPE_CHECKING:
-    from mbd_ros.core.kinematics.paths.point_path import ViaPoint
-    from mbd_ros.core.kinematics.paths.wrapped_path import Reach, Wrap
-
-
-# ---- paths ------------------------------------------------------------------------------------
-# Paths: lengths along which something pulls, and what a tension does to joints and bodies.
-
-
-class Pull(NamedTuple):
-    """What a tension of 1 N exerts on a body.
-
-    Attributes:
-        frame: The link.
-        point: Where it acts, in the world less `Robot.origin` [m], shape (3,).
-        force: In world axes [N per N], shape (3,).
-    """
-
-    frame: str
-    point: Array
-    force: Array
+    from mbd_ros.core.kinematics.paths.via_point import ViaPoint
+    from mbd_ros.core.kinematics.paths.wrap_surface import Reach, Wrap
 
 
 class Path:
@@ -86,6 +70,20 @@ class Path:
     def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
         """The l [m] and J of n samples, shapes (n,) and (n, nv)."""
         raise NotImplementedError
+
+
+class Pull(NamedTuple):
+    """What a tension of 1 N exerts on a body.
+
+    Attributes:
+        frame: The link.
+        point: Where it acts, in the world less `Robot.origin` [m], shape (3,).
+        force: In world axes [N per N], shape (3,).
+    """
+
+    frame: str
+    point: Array
+    force: Array
 
 
 class JointPath(Path):
@@ -179,25 +177,6 @@ class JoinedPaths(Path):
         return np.sum(lengths, axis=0), np.sum(slopes, axis=0)
 
 
-# ---- sampled paths ----------------------------------------------------------------------------
-# Lengths, speeds and moment arms of all paths over many samples.
-
-
-class PathSamples(NamedTuple):
-    """What paths do in n samples.
-
-    Attributes:
-        lengths: [m], shape (n, paths).
-        speeds: [m/s], shape (n, paths).
-        arms: Moment arms -dl/dy by independent coordinate, dependent joints moving along
-            [m or -], shape (n, paths, nv_y).
-    """
-
-    lengths: Array
-    speeds: Array
-    arms: Array
-
-
 class PathBatch:
     """All paths of a scene, evaluated for all samples at once.
 
@@ -256,3 +235,18 @@ class PathBatch:
         q[self._couplings.q_index] = y.T
         slopes = self._couplings.expand(q, still, still.copy())
         return np.array(q.T, order="C"), slopes
+
+
+class PathSamples(NamedTuple):
+    """What paths do in n samples.
+
+    Attributes:
+        lengths: [m], shape (n, paths).
+        speeds: [m/s], shape (n, paths).
+        arms: Moment arms -dl/dy by independent coordinate, dependent joints moving along
+            [m or -], shape (n, paths, nv_y).
+    """
+
+    lengths: Array
+    speeds: Array
+    arms: Array

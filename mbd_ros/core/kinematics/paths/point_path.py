@@ -1,318 +1,29 @@
-"""Straight lines from point to point: fixed, moving and conditional points."""
+"""Straight lines from point to point, of points that are always there and of others.
+
+A point that is there only while a joint is in an interval makes two paths of one, see
+`SwitchedPath`; `path_through` builds the path of all points and wraps.
+"""
+
+from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.kinematics.paths.paths import Path, Pull
+from mbd_ros.core.kinematics.paths.via_point import Interval, ViaPoint, slopes_of
 from mbd_ros.core.kinematics.sampled_kinematics import SampledKinematics
-from mbd_ros.core.model.couplings import CouplingFunction
-from mbd_ros.core.model.points import Point
-from mbd_ros.core.model.robot import Joint, Robot
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
 if TYPE_CHECKING:
-    from mbd_ros.core.kinematics.paths.wrapped_path import Wrap
-
-
-# ---- via points -------------------------------------------------------------------------------
-# Points that a path goes through: held by a link, moved along it by a joint, there or not.
-
-
-_AXES = "xyz"
-
-
-class Interval(NamedTuple):
-    """Positions of a joint, its ends included.
-
-    Attributes:
-        joint: The joint.
-        lower: Smallest position [rad or m], -inf without one.
-        upper: Largest position [rad or m], inf without one.
-    """
-
-    joint: Joint
-    lower: float
-    upper: float
-
-    def holds(self, k: Kinematics, x: State) -> bool:
-        """Whether the joint is there."""
-        q = k.item(x.q, self.joint.q)
-        return k.maximum(self.lower - q, q - self.upper) <= 0.0
-
-    def sampled(self, k: SampledKinematics) -> NDArray[np.bool_]:
-        """Whether the joint is there, in n samples."""
-        q = k.q[:, self.joint.q]
-        there: NDArray[np.bool_] = (q >= self.lower) & (q <= self.upper)
-        return there
-
-
-class ViaPoint:
-    """A point that a link holds.
-
-    Args:
-        robot: The robot.
-        frame: The link.
-        point: Where it is in the axes of the link [m], shape (3,).
-        within: Where in the motion of a joint the path goes through it; None: everywhere.
-
-    Attributes:
-        point: As kinematics know it.
-        frame: Name of the link.
-        within: As given.
-        moves: Whether any joint moves it.
-        is_held: By its link, at one place.
-        joint: The joint that slides it along its link; None where it is held.
-        directions: Ways that it slides, in axes of the joint that carries it, shape (3,), each
-            with its function of the position of `joint` [m].
-
-    Raises:
-        ModelError: Unknown frame.
-    """
-
-    is_held = True
-    joint: Joint | None = None
-    directions: Sequence[tuple[Array, CouplingFunction]] = ()
-
-    def __init__(
-        self, robot: Robot, frame: str, point: Sequence[float], within: Interval | None = None
-    ) -> None:
-        self.point: Point = robot.point(frame, point)
-        self.frame, self.moves, self.within = frame, self.point.moves, within
-
-    def position(self, k: Kinematics, x: State) -> Array:
-        """Where it is, less `Robot.origin` [m], shape (3,), not to be written to."""
-        return k.position(self.point)
-
-    def velocity(self, k: Kinematics, x: State) -> Array:
-        """Its velocity [m/s], shape (3,)."""
-        return k.velocity(self.point)
-
-    def acceleration(self, k: Kinematics, x: State) -> Array:
-        """Its acceleration at zero joint acceleration [m/s^2], shape (3,)."""
-        return k.acceleration(self.point)
-
-    def jacobian(self, k: Kinematics, x: State) -> Array:
-        """From joint velocities to its velocity, shape (3, nv)."""
-        return k.jacobian(self.point)
-
-    def sampled(self, k: SampledKinematics) -> Array:
-        """Where it is in n samples, less `Robot.origin` [m], shape (n, 3)."""
-        return k.position(self.point)
-
-    def slide(self, k: SampledKinematics) -> tuple[int, Array] | None:
-        """Velocity coordinate that slides it along its link, and how, shape (n, 3)."""
-        return None
-
-
-class MovingViaPoint(ViaPoint):
-    """A point that slides along its link as a joint moves: p = p_0 + sum s_i(q) e_i.
-
-    The e_i are axes of the link, each the difference of two points 1 m apart, so that velocities
-    and accelerations follow from those of points of the link.
-
-    Source: A. Seth et al., OpenSim, PLoS Comput. Biol. 14, 2018, e1006223: moving path points.
-
-    Args:
-        robot: The robot.
-        frame: The link.
-        point: Its coordinates in the axes of the link [m], shape (3,); those that a function
-            gives are not read.
-        joint: The joint that moves it.
-        functions: x, y or z -> that coordinate, as function of the position of the joint [m].
-        within: As for `ViaPoint`.
-
-    Raises:
-        ModelError: Unknown frame or joint.
-    """
-
-    is_held = False
-
-    def __init__(
-        self,
-        robot: Robot,
-        frame: str,
-        point: Sequence[float],
-        joint: str,
-        functions: Mapping[str, CouplingFunction],
-        within: Interval | None = None,
-    ) -> None:
-        begin = np.array([0.0 if axis in functions else float(point[i]) for i, axis in _NUMBERED])
-        super().__init__(robot, frame, begin.tolist(), within)
-        self._joint = robot.joint(joint)
-        self.moves, self.joint = True, self._joint
-        self._axes = [
-            (robot.point(frame, (begin + np.eye(3)[i]).tolist()), functions[axis])
-            for i, axis in _NUMBERED
-            if axis in functions
-        ]
-        places = robot.places.points
-        rotation = places[self.point.number].at.rotation
-        self.directions = [
-            (rotation[:, i], functions[axis]) for i, axis in _NUMBERED if axis in functions
-        ]
-
-    def position(self, k: Kinematics, x: State) -> Array:
-        """Where it is, less `Robot.origin` [m], shape (3,)."""
-        q, begin = k.item(x.q, self._joint.q), k.position(self.point)
-        return begin + sum((k.position(end) - begin) * f(q)[0] for end, f in self._axes)
-
-    def velocity(self, k: Kinematics, x: State) -> Array:
-        """Its velocity [m/s], shape (3,)."""
-        q, rate = k.item(x.q, self._joint.q), k.item(x.v, self._joint.v)
-        begin, velocity = k.position(self.point), k.velocity(self.point)
-        whole = velocity
-        for end, function in self._axes:
-            s, slope, _ = function(q)
-            whole = whole + (k.velocity(end) - velocity) * s
-            whole = whole + (k.position(end) - begin) * (slope * rate)
-        return whole
-
-    def acceleration(self, k: Kinematics, x: State) -> Array:
-        """Its acceleration at zero joint acceleration [m/s^2], shape (3,)."""
-        q, rate = k.item(x.q, self._joint.q), k.item(x.v, self._joint.v)
-        begin, velocity = k.position(self.point), k.velocity(self.point)
-        acceleration = k.acceleration(self.point)
-        whole = acceleration
-        for end, function in self._axes:
-            s, slope, curvature = function(q)
-            whole = whole + (k.acceleration(end) - acceleration) * s
-            whole = whole + (k.velocity(end) - velocity) * (2.0 * slope * rate)
-            whole = whole + (k.position(end) - begin) * (curvature * rate * rate)
-        return whole
-
-    def jacobian(self, k: Kinematics, x: State) -> Array:
-        """From joint velocities to its velocity, shape (3, nv)."""
-        q, begin, jacobian = (
-            k.item(x.q, self._joint.q),
-            k.position(self.point),
-            k.jacobian(self.point),
-        )
-        whole, along = jacobian, 0.0
-        for end, function in self._axes:
-            s, slope, _ = function(q)
-            whole = whole + (k.jacobian(end) - jacobian) * s
-            along = along + (k.position(end) - begin) * slope
-        whole[:, self._joint.v] += along
-        return whole
-
-    def sampled(self, k: SampledKinematics) -> Array:
-        """Where it is in n samples, less `Robot.origin` [m], shape (n, 3)."""
-        offset, _ = self._offset(k)
-        return k.position(self.point, offset)
-
-    def slide(self, k: SampledKinematics) -> tuple[int, Array] | None:
-        """Velocity coordinate that slides it along its link, and how, shape (n, 3)."""
-        _, slope = self._offset(k)
-        return self._joint.v, k.along(self.point, slope)
-
-    def _offset(self, k: SampledKinematics) -> tuple[Array, Array]:
-        """Way along the axes, in those of the carrying joint, and its slope, shape (n, 3)."""
-        q = k.q[:, self._joint.q]
-        offset, slope = np.zeros((2, len(q), 3))
-        for axis, function in self.directions:
-            value, rate, _ = function(q)
-            offset += np.multiply.outer(np.broadcast_to(value, q.shape), axis)
-            slope += np.multiply.outer(np.broadcast_to(rate, q.shape), axis)
-        return offset, slope
-
-
-_NUMBERED = tuple(enumerate(_AXES))
-
-
-# ---- switched path ----------------------------------------------------------------------------
-# Paths that go another way while a joint is somewhere.
-
-
-class SwitchedPath(Path):
-    """One path while a joint is in an interval, and another one elsewhere.
-
-    The length jumps at the ends of the interval, unless both paths are as long there.
-
-    Args:
-        interval: Where the joint must be.
-        inside: The path there.
-        outside: The path elsewhere.
-    """
-
-    reads = Reads.JACOBIAN
-
-    def __init__(self, interval: Interval, inside: Path, outside: Path) -> None:
-        self._interval, self._inside, self._outside = interval, inside, outside
-        self.over = inside.over
-
-    def length(self, k: Kinematics, x: State) -> float:
-        """The l [m]."""
-        return self._asked(k, x, "length")
-
-    def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
-        """The l [m] and J, shape (nv,)."""
-        return self._asked(k, x, "measured")
-
-    def drift(self, k: Kinematics, x: State) -> float:
-        """J' v [m/s^2]."""
-        return self._asked(k, x, "drift")
-
-    def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
-        """What a tension of 1 N exerts on bodies; of both paths where nobody knows which it is."""
-        there = k.where(self._interval.holds(k, x), 1.0, 0.0)
-        shares = (self._inside, there), (self._outside, 1.0 - there)
-        return tuple(
-            pull._replace(force=pull.force * share)
-            for path, share in shares
-            if k.any(np.array([share]))
-            for pull in path.pulls(k, x)
-        )
-
-    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
-        """Corners of the path that there is."""
-        return self._asked(k, x, "lines")
-
-    def corners(self) -> Sequence[ViaPoint]:
-        """All points of the path inside, which has more than the other one; none with wraps."""
-        return () if self._inside.wraps else self._inside.corners()
-
-    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
-        """The l [m] and J of n samples."""
-        there = self._interval.sampled(k)
-        if there.all() or not there.any():
-            return (self._inside if there.all() else self._outside).sampled(k)
-        inside, outside = self._inside.sampled(k.of(there)), self._outside.sampled(k.of(~there))
-        lengths, slopes = np.empty(len(there)), np.empty((len(there), inside[1].shape[1]))
-        lengths[there], slopes[there] = inside
-        lengths[~there], slopes[~there] = outside
-        return lengths, slopes
-
-    def _asked(self, k: Kinematics, x: State, what: str) -> Any:
-        inside, outside = getattr(self._inside, what), getattr(self._outside, what)
-        there = self._interval.holds(k, x)
-        return k.either(there, lambda: inside(k, x), lambda: outside(k, x))
-
-
-# ---- point path -------------------------------------------------------------------------------
-# Straight lines from point to point, of points that are always there and of others.
-
+    from mbd_ros.core.kinematics.paths.wrap_surface import Wrap
 
 MAX_SWITCHED = 8  # points that come and go: each doubles the number of paths
-
-
-class _End(NamedTuple):
-    """A point of a path, and the line to it.
-
-    Attributes:
-        point: The point.
-        length: Length of the line where no joint changes it [m], else None.
-        asks: Whether its velocity changes the length of the path.
-    """
-
-    point: ViaPoint
-    length: float | None
-    asks: bool
 
 
 class PointPath(Path):
@@ -412,32 +123,35 @@ class PointPath(Path):
         return lengths.sum(axis=-1), slopes_of(k, points, places, change)
 
 
-def slopes_of(
-    k: SampledKinematics, points: Sequence[ViaPoint], places: Array, change: Array
-) -> Array:
-    """J of n samples, shape (n, nv), of a length that changes with points.
+def _rigid(robot: Robot, a: ViaPoint, b: ViaPoint) -> float | None:
+    """Distance of two points where no joint changes it [m], else None."""
+    (joint_a, at_a), (joint_b, at_b) = (robot.places.points[p.point.number] for p in (a, b))
+    if joint_a != joint_b or not (a.is_held and b.is_held):
+        return None
+    return float(np.linalg.norm(at_a.translation - at_b.translation))
 
-    Args:
-        k: Kinematics.
-        points: The points.
-        places: Where they are, shape (n, m, 3).
-        change: By how much the length changes with them, shape (n, m, 3).
+
+class _End(NamedTuple):
+    """A point of a path, and the line to it.
+
+    Attributes:
+        point: The point.
+        length: Length of the line where no joint changes it [m], else None.
+        asks: Whether its velocity changes the length of the path.
     """
-    arms = np.cross(places, change)
-    wrenches: dict[int, Array] = {}
-    for i, point in enumerate(points):
-        if point.point.moves:
-            wrench = np.concatenate((change[:, i], arms[:, i]), axis=-1)
-            joint = k.carrier(point.point)
-            wrenches[joint] = wrenches[joint] + wrench if joint in wrenches else wrench
-    slopes = k.slope(wrenches)
-    for i, point in enumerate(points):
-        if (slide := point.slide(k)) is not None:
-            slopes[:, slide[0]] += (change[:, i] * slide[1]).sum(axis=-1)
-    return slopes
+
+    point: ViaPoint
+    length: float | None
+    asks: bool
 
 
-def path_through(robot: Robot, points: Sequence[ViaPoint], wraps: "Sequence[Wrap]" = ()) -> Path:
+def _along(k: Kinematics, line: Array) -> tuple[float, Array]:
+    """Length of a line [m] and its direction, zero where it has none."""
+    distance = k.hypot(line)
+    return distance, line / k.where(distance > 0.0, distance, 1.0)
+
+
+def path_through(robot: Robot, points: Sequence[ViaPoint], wraps: Sequence[Wrap] = ()) -> Path:
     """The path through points; those with an interval are left out where their joint is not there.
 
     Args:
@@ -467,7 +181,7 @@ def _through(
     robot: Robot,
     points: Sequence[ViaPoint],
     switched: Sequence[ViaPoint],
-    wraps: "Sequence[tuple[Wrap, int, int]]",
+    wraps: Sequence[tuple[Wrap, int, int]],
 ) -> Path:
     """The path, by its first point that comes and goes; wraps with first and last point."""
     if not switched:
@@ -487,7 +201,7 @@ def _through(
     return SwitchedPath(first.within, inside, _through(robot, without, rest, fewer))
 
 
-def _between(wrap: "Wrap", points: Sequence[ViaPoint]) -> tuple[int, int]:
+def _between(wrap: Wrap, points: Sequence[ViaPoint]) -> tuple[int, int]:
     first, last = wrap.between or (0, len(points) - 1)
     if not 0 <= first < last < len(points):
         raise ModelError(
@@ -497,15 +211,66 @@ def _between(wrap: "Wrap", points: Sequence[ViaPoint]) -> tuple[int, int]:
     return first, last
 
 
-def _along(k: Kinematics, line: Array) -> tuple[float, Array]:
-    """Length of a line [m] and its direction, zero where it has none."""
-    distance = k.hypot(line)
-    return distance, line / k.where(distance > 0.0, distance, 1.0)
+class SwitchedPath(Path):
+    """One path while a joint is in an interval, and another one elsewhere.
 
+    The length jumps at the ends of the interval, unless both paths are as long there.
 
-def _rigid(robot: Robot, a: ViaPoint, b: ViaPoint) -> float | None:
-    """Distance of two points where no joint changes it [m], else None."""
-    (joint_a, at_a), (joint_b, at_b) = (robot.places.points[p.point.number] for p in (a, b))
-    if joint_a != joint_b or not (a.is_held and b.is_held):
-        return None
-    return float(np.linalg.norm(at_a.translation - at_b.translation))
+    Args:
+        interval: Where the joint must be.
+        inside: The path there.
+        outside: The path elsewhere.
+    """
+
+    reads = Reads.JACOBIAN
+
+    def __init__(self, interval: Interval, inside: Path, outside: Path) -> None:
+        self._interval, self._inside, self._outside = interval, inside, outside
+        self.over = inside.over
+
+    def length(self, k: Kinematics, x: State) -> float:
+        """The l [m]."""
+        return self._asked(k, x, "length")
+
+    def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
+        """The l [m] and J, shape (nv,)."""
+        return self._asked(k, x, "measured")
+
+    def drift(self, k: Kinematics, x: State) -> float:
+        """J' v [m/s^2]."""
+        return self._asked(k, x, "drift")
+
+    def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
+        """What a tension of 1 N exerts on bodies; of both paths where nobody knows which it is."""
+        there = k.where(self._interval.holds(k, x), 1.0, 0.0)
+        shares = (self._inside, there), (self._outside, 1.0 - there)
+        return tuple(
+            pull._replace(force=pull.force * share)
+            for path, share in shares
+            if k.any(np.array([share]))
+            for pull in path.pulls(k, x)
+        )
+
+    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
+        """Corners of the path that there is."""
+        return self._asked(k, x, "lines")
+
+    def corners(self) -> Sequence[ViaPoint]:
+        """All points of the path inside, which has more than the other one; none with wraps."""
+        return () if self._inside.wraps else self._inside.corners()
+
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and J of n samples."""
+        there = self._interval.sampled(k)
+        if there.all() or not there.any():
+            return (self._inside if there.all() else self._outside).sampled(k)
+        inside, outside = self._inside.sampled(k.of(there)), self._outside.sampled(k.of(~there))
+        lengths, slopes = np.empty(len(there)), np.empty((len(there), inside[1].shape[1]))
+        lengths[there], slopes[there] = inside
+        lengths[~there], slopes[~there] = outside
+        return lengths, slopes
+
+    def _asked(self, k: Kinematics, x: State, what: str) -> Any:
+        inside, outside = getattr(self._inside, what), getattr(self._outside, what)
+        there = self._interval.holds(k, x)
+        return k.either(there, lambda: inside(k, x), lambda: outside(k, x))

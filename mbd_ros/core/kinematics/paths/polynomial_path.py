@@ -1,4 +1,10 @@
-"""The length of a path as a polynomial of joints, and its fit."""
+"""The length of a path as a polynomial of joints, and its fit.
+
+A polynomial of Chebyshev polynomials is fitted by least squares to lengths and moment arms in
+random poses; a part of the poses is kept apart to say how good it is.
+"""
+
+from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Mapping, Sequence
@@ -14,12 +20,17 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
-# ---- polynomial path --------------------------------------------------------------------------
-# A path whose length is a polynomial of several joints.
-
-
 LARGEST_DEGREE = 30
 MOST_TERMS = 1000
+Measure = Callable[[Array], tuple[Array, Array, Array]]
+"""Positions (n, joints) -> those that have a path, their lengths and slopes (n, joints)."""
+_GOOD = 1.0e-8  # m: finer is not asked for
+_WORSE = 1.3  # times the least error: fewer terms are worth that
+_LEAST_DEGREE = 2  # of joints so many that all others have too many terms
+_DEGREES = (4, 6, 8, 10, 12, 14, 16)
+_MOST_TERMS = 80
+_POSES = 6  # per term of the largest polynomial
+_TESTS = 0.25  # of the poses: not for fitting
 
 
 class PolynomialPath(Path):
@@ -54,7 +65,7 @@ class PolynomialPath(Path):
             wanted = f"1 to {MOST_TERMS} lists of {count} exponents and a coefficient"
             raise ModelError(f"polynomial: terms: expected {wanted}")
         table = np.array(terms, dtype=np.float64)
-        self._exponents = _exponents(table[:, :count])
+        self._exponents = _checked_exponents(table[:, :count])
         self._coefficients = table[:, count]
         low, high = np.array(limits, dtype=np.float64).T
         self._middle, self._scale = 0.5 * (low + high), 2.0 / (high - low)
@@ -112,6 +123,13 @@ class PolynomialPath(Path):
         return self._coefficients.dot(product)
 
 
+def _checked_exponents(given: Array) -> NDArray[np.intp]:
+    found = given.astype(np.intp)
+    if (found != given).any() or (found < 0).any() or (found > LARGEST_DEGREE).any():
+        raise ModelError(f"polynomial: exponents: whole numbers 0 .. {LARGEST_DEGREE}")
+    return found
+
+
 def chebyshev(z: Any, degree: int, order: int) -> list[list[Any]]:
     """T_0 .. T_degree at z, then as many of their derivatives, up to the second one, as asked for.
 
@@ -130,26 +148,54 @@ def chebyshev(z: Any, degree: int, order: int) -> list[list[Any]]:
     return found
 
 
-def _exponents(given: Array) -> NDArray[np.intp]:
-    found = given.astype(np.intp)
-    if (found != given).any() or (found < 0).any() or (found > LARGEST_DEGREE).any():
-        raise ModelError(f"polynomial: exponents: whole numbers 0 .. {LARGEST_DEGREE}")
+def fitted(limits: Array, measure: Measure) -> Fit:
+    """The polynomial of the least degree that is nearly as good as any.
+
+    Args:
+        limits: Lower and upper limit of each joint, shape (joints, 2).
+        measure: Gives lengths and slopes.
+    """
+    degrees = [n for n in _DEGREES if len(_exponents_up_to(n, len(limits))) <= _MOST_TERMS]
+    degrees = degrees or [_LEAST_DEGREE]
+    count = _POSES * len(_exponents_up_to(degrees[-1], len(limits)))
+    angles = np.random.default_rng(0).uniform(0.0, np.pi, (count, len(limits)))
+    low, high = limits.T
+    positions, lengths, slopes = measure(0.5 * (low + high) - 0.5 * (high - low) * np.cos(angles))
+    z, scale = (2.0 * positions - low - high) / (high - low), 2.0 / (high - low)
+    tested = np.arange(len(z)) < _TESTS * len(z)
+    found = list[Fit]()
+    for degree in degrees:
+        exponents = _exponents_up_to(degree, len(limits))
+        A = _equations(z, scale, exponents)
+        b = np.hstack((lengths[:, None], slopes))
+        rows = A[~tested].reshape(-1, len(exponents))
+        c = np.linalg.lstsq(rows, b[~tested].ravel(), rcond=None)[0]
+        off = np.sqrt(np.mean((A[tested] @ c - b[tested]) ** 2, axis=0))
+        terms = [[*map(float, e), float(one)] for e, one in zip(exponents, c, strict=True)]
+        found.append(Fit(terms, degree, float(off[0]), float(off[1:].max())))
+        if off.max() < _GOOD:
+            break
+    length, arm = min(one.length_error for one in found), min(one.arm_error for one in found)
+    fine = (f for f in found if f.length_error <= _WORSE * length and f.arm_error <= _WORSE * arm)
+    return next(fine, found[-1])
+
+
+def _exponents_up_to(degree: int, joints: int) -> NDArray[np.intp]:
+    """All with a sum up to the degree, shape (terms, joints)."""
+    every = itertools.product(range(degree + 1), repeat=joints)
+    return np.array([one for one in every if sum(one) <= degree], dtype=np.intp)
+
+
+def _equations(z: Array, scale: Array, exponents: NDArray[np.intp]) -> Array:
+    """Each term's length and slopes, shape (n, 1 + joints, terms)."""
+    joints = z.shape[1]
+    found = np.ones((len(z), 1 + joints, len(exponents)))
+    for i in range(joints):
+        values, slopes = chebyshev(z[:, i], int(exponents.max()), 1)
+        value, slope = (np.array(one)[exponents[:, i]].T for one in (values, slopes))
+        for row in range(1 + joints):
+            found[:, row] *= slope * scale[i] if row == 1 + i else value
     return found
-
-
-# ---- path fit ---------------------------------------------------------------------------------
-# The length of a path as a polynomial of joints, by least squares of lengths and moment arms.
-
-
-# positions (n, joints) -> those that have a path, their lengths and slopes (n, joints)
-Measure = Callable[[Array], tuple[Array, Array, Array]]
-
-_GOOD = 1.0e-8  # m: finer is not asked for
-_WORSE = 1.3  # times the least error: fewer terms are worth that
-_DEGREES = (4, 6, 8, 10, 12, 14, 16)
-_MOST_TERMS = 80
-_POSES = 6  # per term of the largest polynomial
-_TESTS = 0.25  # of the poses: not for fitting
 
 
 class Fit(NamedTuple):
@@ -166,54 +212,3 @@ class Fit(NamedTuple):
     degree: int
     length_error: float
     arm_error: float
-
-
-def fitted(limits: Array, measure: Measure) -> Fit:
-    """The polynomial of the least degree that is nearly as good as any.
-
-    Args:
-        limits: Lower and upper limit of each joint, shape (joints, 2).
-        measure: Gives lengths and slopes.
-    """
-    degrees = [n for n in _DEGREES if len(_path_fit_exponents(n, len(limits))) <= _MOST_TERMS] or [
-        2
-    ]
-    count = _POSES * len(_path_fit_exponents(degrees[-1], len(limits)))
-    angles = np.random.default_rng(0).uniform(0.0, np.pi, (count, len(limits)))
-    low, high = limits.T
-    positions, lengths, slopes = measure(0.5 * (low + high) - 0.5 * (high - low) * np.cos(angles))
-    z, scale = (2.0 * positions - low - high) / (high - low), 2.0 / (high - low)
-    tested = np.arange(len(z)) < _TESTS * len(z)
-    found = list[Fit]()
-    for degree in degrees:
-        exponents = _path_fit_exponents(degree, len(limits))
-        A = _equations(z, scale, exponents)
-        b = np.hstack((lengths[:, None], slopes))
-        rows = A[~tested].reshape(-1, len(exponents))
-        c = np.linalg.lstsq(rows, b[~tested].ravel(), rcond=None)[0]
-        off = np.sqrt(np.mean((A[tested] @ c - b[tested]) ** 2, axis=0))
-        terms = [[*map(float, e), float(one)] for e, one in zip(exponents, c, strict=True)]
-        found.append(Fit(terms, degree, float(off[0]), float(off[1:].max())))
-        if off.max() < _GOOD:
-            break
-    length, arm = min(one.length_error for one in found), min(one.arm_error for one in found)
-    fine = (f for f in found if f.length_error <= _WORSE * length and f.arm_error <= _WORSE * arm)
-    return next(fine, found[-1])
-
-
-def _path_fit_exponents(degree: int, joints: int) -> NDArray[np.intp]:
-    """All with a sum up to the degree, shape (terms, joints)."""
-    every = itertools.product(range(degree + 1), repeat=joints)
-    return np.array([one for one in every if sum(one) <= degree], dtype=np.intp)
-
-
-def _equations(z: Array, scale: Array, exponents: NDArray[np.intp]) -> Array:
-    """Each term's length and slopes, shape (n, 1 + joints, terms)."""
-    joints = z.shape[1]
-    found = np.ones((len(z), 1 + joints, len(exponents)))
-    for i in range(joints):
-        values, slopes = chebyshev(z[:, i], int(exponents.max()), 1)
-        value, slope = (np.array(one)[exponents[:, i]].T for one in (values, slopes))
-        for row in range(1 + joints):
-            found[:, row] *= slope * scale[i] if row == 1 + i else value
-    return found

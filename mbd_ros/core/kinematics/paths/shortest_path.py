@@ -9,20 +9,25 @@ Source: A. Scholz, M. Sherman, I. Stavness, S. Delp, A. Kecskeméthy, A fast mul
 wrapping method using natural geodesic variations, Multibody Syst. Dyn. 36, 2016, 195.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.kinematics.paths.ellipsoid import Ellipsoid
 from mbd_ros.core.kinematics.paths.wrap_surface import (
     Arc,
     Flow,
     Mask,
+    Numbers,
     Placed,
     Surface,
 )
 from mbd_ros.core.state import Array
 from mbd_ros.core.vectors import cross, dot, unit
+from mbd_ros.errors import SolveError
 
 _STEPS = 30
 _LEAST = 2.0**-8  # share of a step that is taken whatever it does
@@ -30,50 +35,109 @@ _TOLERANCE = 1.0e-13  # of the sine of the angle between lines and tangents
 _REGULAR = 1.0e-12  # keeps slopes regular where a geodesic has no length
 _LONGEST = 20.0  # arc, in sizes of its surface
 _ROUNDING = 1.0e-10  # what is accepted where steps no longer make it smaller
+_GROWTH_STEPS = 24  # from a sphere to an ellipsoid
+_LONGER = 1.0e-9  # of the size of the surface: by how much a path must be longer than another
 
 
-class Contact(NamedTuple):
-    """One end of a geodesic, in common axes, and how it changes with the unknowns.
+def shortest_path(
+    a: Array, b: Array, over: Sequence[Placed], guess: tuple[Arc, ...]
+) -> tuple[Arc, ...]:
+    """Geodesics between two points, on the side that each surface asks for.
 
-    Attributes:
-        point: [m], shape (n, 3).
-        frame: Normal and binormal, shape (n, 2, 3).
-        moves: Change of the point with shift along t, shift along b, turn and length, (n, 3, 4).
-        turns: Change of normal and binormal with them, shape (n, 2, 3, 4).
+    Where Newton's method leads from the guess to none, or off the side that is asked for, the
+    guess on the nearer side is tried, and at last an ellipsoid that grows from a sphere.
+
+    Args:
+        a: Begin in common axes [m], shape (n, 3).
+        b: End [m], shape (n, 3).
+        over: Surfaces in order.
+        guess: Their geodesics, about.
+
+    Raises:
+        SolveError: A geodesic is not found.
     """
-
-    point: Array
-    frame: Array
-    moves: Array
-    turns: Array
-
-
-class Line(NamedTuple):
-    """A straight line: its unit direction, shape (n, 3), and its length [m], shape (n,)."""
-
-    direction: Array
-    length: Array
-
-
-class Chain(NamedTuple):
-    """A path between two points.
-
-    Attributes:
-        length: Whole length [m], shape (n,).
-        lines: Straight lines, one more than arcs.
-        arcs: Geodesics.
-        ends: Both ends of every geodesic.
-        slopes: Change of the conditions with the unknowns, shape (n, 4 m, 4 m).
-    """
-
-    length: Array
-    lines: tuple[Line, ...]
-    arcs: tuple[Arc, ...]
-    ends: tuple[tuple[Contact, Contact], ...]
-    slopes: Array
+    arcs = newton_path(a, b, over, guess)
+    for retry in (_plain, _grown):
+        again = np.flatnonzero(_astray(a, b, over, (arcs, guess), retry is _plain))
+        if again.size:
+            there = [one.of(again) for one in over]
+            before = tuple(arc.of(again) for arc in guess)
+            _replace(arcs, again, retry(a[again], b[again], there, before))
+    lost = int(np.isnan(arcs[0].length).sum())
+    if lost:
+        raise SolveError(f"no shortest path over the surface in {lost} of {len(a)} samples")
+    return arcs
 
 
-def shortest(a: Array, b: Array, over: Sequence[Placed], starts: Sequence[Arc]) -> tuple[Arc, ...]:
+def _plain(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> tuple[Arc, ...]:
+    """From guesses on the nearer side, between what is on either side of a surface."""
+    lasts = [one.outwards(arc.end) for one, arc in zip(over, arcs, strict=True)]
+    firsts = [one.outwards(arc.start) for one, arc in zip(over, arcs, strict=True)]
+    ends = zip(over, (a, *lasts[:-1]), (*firsts[1:], b), strict=True)
+    starts = tuple(
+        Arc.along(one.surface, *one.surface.plain(one.inwards(begin), one.inwards(end))[1:])
+        for one, begin, end in ends
+    )
+    return newton_path(a, b, over, starts)
+
+
+def _grown(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> tuple[Arc, ...]:
+    """From the great circle of a sphere that becomes the ellipsoid, ends stretched along."""
+    if len(over) > 1 or not isinstance(over[0].surface, Ellipsoid):
+        return tuple(Arc(*arc[:2], arc.length * np.nan, *arc[3:]) for arc in arcs)
+    goal, n = over[0].surface, len(a)
+    begin, end = (over[0].inwards(x) / goal.half_axes for x in (a, b))
+    turn, origin = np.broadcast_to(np.eye(3), (n, 3, 3)), np.zeros((n, 3))
+    size = float(np.prod(goal.half_axes)) ** (1.0 / 3.0)
+    before = np.full(3, size)
+    guess = Arc(*Ellipsoid(before.tolist()).plain(begin * size, end * size)[1:], begin, end)
+    for share in np.linspace(1.0 / _GROWTH_STEPS, 1.0, _GROWTH_STEPS):
+        axes = size * (goal.half_axes / size) ** share
+        start, along = (value * (axes / before) for value in guess[:2])
+        length = guess.length * np.sqrt(dot(along, along))
+        place = Placed(Ellipsoid(axes.tolist()), turn, origin)
+        stretched = Arc(start, unit(along), length, start, start)
+        (guess,) = newton_path(begin * axes, end * axes, [place], [stretched])
+        before = axes
+    return (guess,)
+
+
+def _astray(
+    a: Array,
+    b: Array,
+    over: Sequence[Placed],
+    found: tuple[Sequence[Arc], Sequence[Arc]],
+    checks_side: bool,
+) -> Mask:
+    """Samples without a path, off its side, or with a longer one than the guess, shape (n,)."""
+    arcs, guess = found
+    away: Mask = np.isnan(arcs[0].length)
+    for one, arc in zip(over, arcs, strict=True):
+        if one.surface.sign and not one.surface.is_closed_form and checks_side:
+            away |= ~one.surface.on_side(arc.middle)
+    if len(over) == 1 and isinstance(over[0].surface, Ellipsoid) and not over[0].surface.sign:
+        longer = _length(a, b, over[0], arcs[0]) - _length(a, b, over[0], guess[0])
+        away |= longer > _LONGER * over[0].surface.size
+    return away
+
+
+def _length(a: Array, b: Array, place: Placed, arc: Arc) -> Array:
+    """Whole length of a path over one surface [m], shape (n,)."""
+    first, last = place.outwards(arc.start) - a, b - place.outwards(arc.end)
+    return np.asarray(np.sqrt(dot(first, first)) + arc.length + np.sqrt(dot(last, last)))
+
+
+def _replace(arcs: tuple[Arc, ...], again: Numbers, better: tuple[Arc, ...]) -> None:
+    """Put what is found in place of what was."""
+    found = np.isfinite(better[0].length)
+    for to, arc in zip(arcs, better, strict=True):
+        for whole, part in zip(to, arc, strict=True):
+            whole[again[found]] = part[found]
+
+
+def newton_path(
+    a: Array, b: Array, over: Sequence[Placed], starts: Sequence[Arc]
+) -> tuple[Arc, ...]:
     """The path from a to b over surfaces, beginning at a guess.
 
     Steps are halved until they make the conditions better, sample by sample.
@@ -118,18 +182,33 @@ def shortest(a: Array, b: Array, over: Sequence[Placed], starts: Sequence[Arc]) 
     return tuple(found)
 
 
-def _either(first: Mask, a: Arc, b: Arc) -> Arc:
-    if first.all():
-        return a
-    pairs = zip(a, b, strict=True)
-    return Arc(*(np.where(first[:, None] if x.ndim > 1 else first, x, y) for x, y in pairs))
-
-
 def _stepped(over: Sequence[Placed], arcs: Sequence[Arc], steps: Array) -> tuple[Arc, ...]:
     return tuple(
         _moved(one.surface, arc, steps[:, 4 * i : 4 * i + 4])
         for i, (one, arc) in enumerate(zip(over, arcs, strict=True))
     )
+
+
+def _moved(surface: Surface, arc: Arc, step: Array) -> Arc:
+    """A geodesic after a step of its unknowns, kept on the surface."""
+    largest = np.maximum(np.abs(step[:, :2]).max(axis=-1), np.abs(step[:, 3])) / surface.size
+    reach = np.maximum(np.maximum(largest, np.abs(step[:, 2])) / 0.5, 1.0)[:, None]
+    along, aside, spin, longer = (step / reach).T
+    t, n = arc.direction, surface.normal(arc.start)
+    b = cross(t, n)
+    start = surface.nearest(arc.start + along[:, None] * t + aside[:, None] * b)
+    n, ahead = surface.normal(start), t + spin[:, None] * b
+    ahead = unit(ahead - dot(ahead, n)[:, None] * n)
+    longest = _LONGEST * surface.size
+    length = np.clip(arc.length + longer, -longest, longest)
+    return Arc(start, ahead, length, start, start)
+
+
+def _either(first: Mask, a: Arc, b: Arc) -> Arc:
+    if first.all():
+        return a
+    pairs = zip(a, b, strict=True)
+    return Arc(*(np.where(first[:, None] if x.ndim > 1 else first, x, y) for x, y in pairs))
 
 
 def link(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> tuple[Chain, Array]:
@@ -163,18 +242,45 @@ def link(a: Array, b: Array, over: Sequence[Placed], arcs: tuple[Arc, ...]) -> t
     return Chain(np.asarray(length), lines, arcs, ends, slopes), errors
 
 
-def _flat(frame: Array, line: Line) -> Array:
-    """Normal and binormal times de for a change of the end of a line, shape (n, 2, 3)."""
-    along = np.einsum("nfi,ni->nf", frame, line.direction)
-    return np.asarray(
-        (frame - along[..., None] * line.direction[:, None, :]) / line.length[:, None, None]
-    )
+class Chain(NamedTuple):
+    """A path between two points.
+
+    Attributes:
+        length: Whole length [m], shape (n,).
+        lines: Straight lines, one more than arcs.
+        arcs: Geodesics.
+        ends: Both ends of every geodesic.
+        slopes: Change of the conditions with the unknowns, shape (n, 4 m, 4 m).
+    """
+
+    length: Array
+    lines: tuple[Line, ...]
+    arcs: tuple[Arc, ...]
+    ends: tuple[tuple[Contact, Contact], ...]
+    slopes: Array
 
 
-def _line(begin: Array, end: Array) -> Line:
-    way = end - begin
-    length = np.maximum(np.sqrt(dot(way, way)), 1.0e-300)
-    return Line(way / length[:, None], length)
+class Line(NamedTuple):
+    """A straight line: its unit direction, shape (n, 3), and its length [m], shape (n,)."""
+
+    direction: Array
+    length: Array
+
+
+class Contact(NamedTuple):
+    """One end of a geodesic, in common axes, and how it changes with the unknowns.
+
+    Attributes:
+        point: [m], shape (n, 3).
+        frame: Normal and binormal, shape (n, 2, 3).
+        moves: Change of the point with shift along t, shift along b, turn and length, (n, 3, 4).
+        turns: Change of normal and binormal with them, shape (n, 2, 3, 4).
+    """
+
+    point: Array
+    frame: Array
+    moves: Array
+    turns: Array
 
 
 def _ends(placed: Placed, arc: Arc, flow: Flow) -> tuple[Contact, Contact]:
@@ -222,16 +328,15 @@ def _outwards(contact: Contact, turn: Array, origin: Array) -> Contact:
     )
 
 
-def _moved(surface: Surface, arc: Arc, step: Array) -> Arc:
-    """A geodesic after a step of its unknowns, kept on the surface."""
-    largest = np.maximum(np.abs(step[:, :2]).max(axis=-1), np.abs(step[:, 3])) / surface.size
-    reach = np.maximum(np.maximum(largest, np.abs(step[:, 2])) / 0.5, 1.0)[:, None]
-    along, aside, spin, longer = (step / reach).T
-    t, n = arc.direction, surface.normal(arc.start)
-    b = cross(t, n)
-    start = surface.nearest(arc.start + along[:, None] * t + aside[:, None] * b)
-    n, ahead = surface.normal(start), t + spin[:, None] * b
-    ahead = unit(ahead - dot(ahead, n)[:, None] * n)
-    longest = _LONGEST * surface.size
-    length = np.clip(arc.length + longer, -longest, longest)
-    return Arc(start, ahead, length, start, start)
+def _line(begin: Array, end: Array) -> Line:
+    way = end - begin
+    length = np.maximum(np.sqrt(dot(way, way)), 1.0e-300)
+    return Line(way / length[:, None], length)
+
+
+def _flat(frame: Array, line: Line) -> Array:
+    """Normal and binormal times de for a change of the end of a line, shape (n, 2, 3)."""
+    along = np.einsum("nfi,ni->nf", frame, line.direction)
+    return np.asarray(
+        (frame - along[..., None] * line.direction[:, None, :]) / line.length[:, None, None]
+    )

@@ -13,30 +13,9 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Side,
     Surface,
     Touch,
-    across,
 )
 from mbd_ros.core.state import Array
 from mbd_ros.core.vectors import cross, dot, unit
-
-
-def crossing(a: Array, b: Array, radius: float = 1.0) -> tuple[Mask, Array]:
-    """Whether lines meet a sphere between their ends, and the middle of what is inside.
-
-    Args:
-        a: Begin of lines, shape (n, 3).
-        b: Their ends, shape (n, 3).
-        radius: Of the sphere about the origin [m].
-
-    Returns:
-        Shapes (n,) and (n, 3).
-    """
-    line = b - a
-    square, along, rest = dot(line, line), dot(a, line), dot(a, a) - radius**2
-    square = np.where(square > 0.0, square, 1.0)
-    root = along * along - square * rest
-    half, middle = np.sqrt(np.maximum(root, 0.0)) / square, -along / square
-    hits = (root >= 0.0) & (middle - half > 0.0) & (middle + half < 1.0)
-    return hits, a + middle[:, None] * line
 
 
 class Sphere(Surface):
@@ -135,3 +114,29 @@ class Sphere(Surface):
             )
         both = self.on_side(a) & self.on_side(b)
         return np.asarray(~both & (self.sign * sums >= 0.0))
+
+
+def crossing(a: Array, b: Array, radius: float = 1.0) -> tuple[Mask, Array]:
+    """Whether lines meet a sphere between their ends, and the middle of what is inside.
+
+    Args:
+        a: Begin of lines, shape (n, 3).
+        b: Their ends, shape (n, 3).
+        radius: Of the sphere about the origin [m].
+
+    Returns:
+        Shapes (n,) and (n, 3).
+    """
+    line = b - a
+    square, along, rest = dot(line, line), dot(a, line), dot(a, a) - radius**2
+    square = np.where(square > 0.0, square, 1.0)
+    root = along * along - square * rest
+    half, middle = np.sqrt(np.maximum(root, 0.0)) / square, -along / square
+    hits = (root >= 0.0) & (middle - half > 0.0) & (middle + half < 1.0)
+    return hits, a + middle[:, None] * line
+
+
+def across(axis_of: Array) -> Array:
+    """A unit vector square to every row, along no axis in particular, shape (n, 3)."""
+    least = np.eye(3)[np.argmin(np.abs(axis_of), axis=-1)]
+    return unit(cross(axis_of, least))

@@ -3,6 +3,7 @@
 import numpy as np
 
 from mbd_ros.core.kinematics.paths.cylinder import Cylinder
+from mbd_ros.core.kinematics.paths.geodesics import dot3, geodesics
 from mbd_ros.core.kinematics.paths.wrap_surface import (
     MAY_WRAP,
     NO_WRAP,
@@ -12,8 +13,6 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Side,
     Surface,
     Touch,
-    dot3,
-    geodesics,
 )
 from mbd_ros.core.state import Array
 from mbd_ros.core.vectors import cross, dot, unit
