@@ -40,8 +40,8 @@ class Path:
     name: str = ""
     over: str = ""
     reads: Reads = Reads.NOTHING
-    wraps: "Sequence[Wrap]" = ()
-    reaches: "Sequence[Reach]" = ()
+    wraps: Sequence[Wrap] = ()
+    reaches: Sequence[Reach] = ()
 
     def length(self, k: Kinematics, x: State) -> float:
         """The l [m]; reads positions at most."""
@@ -63,7 +63,7 @@ class Path:
         """Where it runs: corners of lines, in the world less `Robot.origin` [m], shape (n, 3)."""
         return ()
 
-    def corners(self) -> "Sequence[ViaPoint]":
+    def corners(self) -> Sequence[ViaPoint]:
         """All points of its lines, there or not; none where it has more than these and `wraps`."""
         return ()
 

@@ -135,7 +135,7 @@ class Placed(NamedTuple):
         """Points of the surface in common axes, shape (n, 3)."""
         return np.asarray(np.einsum("nij,nj->ni", self.rotation, points) + self.origin)
 
-    def of(self, samples: Numbers | Mask) -> "Placed":
+    def of(self, samples: Numbers | Mask) -> Placed:
         """The same at some of the samples."""
         return Placed(self.surface, self.rotation[samples], self.origin[samples])
 
@@ -158,12 +158,12 @@ class Arc(NamedTuple):
     end: Array
 
     @staticmethod
-    def along(surface: Surface, start: Array, direction: Array, length: Array) -> "Arc":
+    def along(surface: Surface, start: Array, direction: Array, length: Array) -> Arc:
         """The geodesic of a surface from a point along a tangent."""
         flow = surface.flow(start, direction, length)
         return Arc(start, direction, length, flow.middle, flow.end)
 
-    def of(self, samples: Numbers | Mask) -> "Arc":
+    def of(self, samples: Numbers | Mask) -> Arc:
         """The same at some of the samples."""
         return Arc(*(value[samples] for value in self))
 
