@@ -40,7 +40,6 @@ ORDER = (  # of the rooms: each may import those before it
 PROGRAMS = {"mbd_ros.programs", "mbd_ros.__main__", "mbd_ros.nodes.__main__"}
 CORE_ORDER = (  # of the subjects in `core`: the same
     "state",
-    "vectors",
     "ranges",
     "thresholds",
     "model",

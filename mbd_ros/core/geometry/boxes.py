@@ -18,9 +18,9 @@ from mbd_ros.core.geometry.feature_gaps import (
 from mbd_ros.core.geometry.shapes import CORNERS
 from mbd_ros.core.geometry.simple_bodies import BESIDE
 from mbd_ros.core.kinematics.relative_motion import PairMotion
+from mbd_ros.core.kinematics.vectors import cross, dot, lengths
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
-from mbd_ros.core.vectors import cross, dot, lengths
 
 _ACROSS = 0.1  # sine of the angle of two edges from which their crossing has a normal of its own
 _OTHERS = ((1, 2), (2, 0), (0, 1))  # axes of a face

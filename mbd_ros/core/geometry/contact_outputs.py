@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from mbd_ros.core.contracts import Kind, Output, Value, Wrench, exerted_on
 from mbd_ros.core.geometry.contact_pair import ContactPair
 from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.kinematics.vectors import cross
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.vectors import cross
 
 OPEN, SLIP, STICK = 0.0, 1.0, 2.0
 _AT_BOUND = 1.0 - 1.0e-9  # of the largest friction: from here on it slips

@@ -23,9 +23,9 @@ from mbd_ros.core.geometry.feature_gaps import (
 from mbd_ros.core.geometry.shapes import Polyhedron
 from mbd_ros.core.geometry.simple_bodies import BESIDE
 from mbd_ros.core.kinematics.relative_motion import PairMotion
+from mbd_ros.core.kinematics.vectors import cross, dot, lengths
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
-from mbd_ros.core.vectors import cross, dot, lengths
 
 # ---- convex -----------------------------------------------------------------------------------
 # A convex body with flat faces on another one: the region that two faces share.

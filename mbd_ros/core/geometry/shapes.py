@@ -6,11 +6,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.kinematics.vectors import cross, lengths
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
-from mbd_ros.core.vectors import cross, lengths
 from mbd_ros.errors import ModelError
 
 # ---- polyhedron -------------------------------------------------------------------------------

@@ -14,9 +14,9 @@ from mbd_ros.core.geometry.feature_gaps import (
 )
 from mbd_ros.core.geometry.shapes import Balls, Box, Capsule, Cylinder, Mesh, Polyhedron
 from mbd_ros.core.kinematics.relative_motion import PairMotion
+from mbd_ros.core.kinematics.vectors import cross, dot, lengths
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array, is_symbol
-from mbd_ros.core.vectors import cross, dot, lengths
 
 # ---- spheres ----------------------------------------------------------------------------------
 # Balls over a plane and over balls, whose gaps are as smooth as the motion of the bodies.

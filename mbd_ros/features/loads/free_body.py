@@ -15,6 +15,7 @@ import pinocchio as pin
 from mbd_ros.core.contracts import Load, Wrench
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.kinematics.paths.paths import Path
+from mbd_ros.core.kinematics.vectors import cross
 from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import BodyLoads
 from mbd_ros.core.model.robot import WORLD, Recipe, Robot
@@ -23,7 +24,6 @@ from mbd_ros.core.model.urdf import link_name, parse_urdf
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import NONE, Array, State
-from mbd_ros.core.vectors import cross
 from mbd_ros.errors import ModelError
 
 # ---- acting wrenches --------------------------------------------------------------------------

@@ -18,6 +18,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.vectors import cross
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
@@ -26,7 +27,6 @@ from mbd_ros.core.rows.constraint import Constraint, Level
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import ASSEMBLED, BRANCH_STEP, LANDED
-from mbd_ros.core.vectors import cross
 from mbd_ros.errors import SolveError
 
 # ---- marker cost ------------------------------------------------------------------------------

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.contracts import Load, Output, label, without_multiplier
 from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.kinematics.vectors import cross
 from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import BodyLoads
 from mbd_ros.core.model.robot import Robot
@@ -24,7 +25,6 @@ from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
 from mbd_ros.core.rows.coupling_rows import CouplingRows
 from mbd_ros.core.state import NONE, Array, State
-from mbd_ros.core.vectors import cross
 from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
 

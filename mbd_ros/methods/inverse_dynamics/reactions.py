@@ -9,13 +9,13 @@ import pinocchio as pin
 from mbd_ros.core.contracts import Load, Wrench
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.kinematics.vectors import cross
 from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import BodyLoads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import NONE, Array, State
-from mbd_ros.core.vectors import cross
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.inverse_dynamics.reserves import CoordinateReserve, Reserve
 

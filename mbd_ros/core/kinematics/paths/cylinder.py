@@ -13,8 +13,8 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Surface,
     Touch,
 )
+from mbd_ros.core.kinematics.vectors import dot
 from mbd_ros.core.state import Array
-from mbd_ros.core.vectors import dot
 
 _TURN = 2.0 * np.pi
 

@@ -16,8 +16,8 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Surface,
     Touch,
 )
+from mbd_ros.core.kinematics.vectors import cross, dot, unit
 from mbd_ros.core.state import Array
-from mbd_ros.core.vectors import cross, dot, unit
 
 _NEWTON = 60  # steps to the nearest point, far more than it takes
 _OFF_PLANES = 1.0e-9  # in half axes: what keeps a point from planes of symmetry

@@ -25,8 +25,8 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Placed,
     Surface,
 )
+from mbd_ros.core.kinematics.vectors import cross, dot, unit
 from mbd_ros.core.state import Array
-from mbd_ros.core.vectors import cross, dot, unit
 from mbd_ros.errors import SolveError
 
 _STEPS = 30

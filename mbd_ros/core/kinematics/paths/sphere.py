@@ -14,8 +14,8 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Surface,
     Touch,
 )
+from mbd_ros.core.kinematics.vectors import cross, dot, unit
 from mbd_ros.core.state import Array
-from mbd_ros.core.vectors import cross, dot, unit
 
 
 class Sphere(Surface):

@@ -14,8 +14,8 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Surface,
     Touch,
 )
+from mbd_ros.core.kinematics.vectors import cross, dot, unit
 from mbd_ros.core.state import Array
-from mbd_ros.core.vectors import cross, dot, unit
 
 _LONG = 1.0e3  # of the cylinder in place of the ring, in radii of the ring
 _LOOK = np.linspace(-1.0, 2.0, 61)  # where a line may be nearest to the ring, in lines

@@ -27,8 +27,8 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Reach,
     Touch,
 )
+from mbd_ros.core.kinematics.vectors import dot
 from mbd_ros.core.state import Array
-from mbd_ros.core.vectors import dot
 
 Held = tuple[tuple[int, ...], ...]  # the wraps on every line between points
 _ROUNDS = 8

@@ -19,10 +19,10 @@ from mbd_ros.core.kinematics.paths.via_point import ViaPoint, slopes_of
 from mbd_ros.core.kinematics.paths.wrap_routes import Route, Router
 from mbd_ros.core.kinematics.paths.wrap_surface import Arc, Placed, Reach, Wrap
 from mbd_ros.core.kinematics.sampled_kinematics import SampledKinematics
+from mbd_ros.core.kinematics.vectors import cross, dot
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.vectors import cross, dot
 from mbd_ros.errors import SolveError
 
 _POINT = 1.0e-200  # m, a line that has no direction

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from mbd_ros.core.kinematics.vectors import cross
 from mbd_ros.core.state import Array
-from mbd_ros.core.vectors import cross
 from mbd_ros.errors import DataError
 from mbd_ros.features.loads.fem.elements import MeshMass, nodal_forces
 from mbd_ros.features.loads.fem.mesh import Mesh, Nodes, Units
