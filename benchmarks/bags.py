@@ -20,8 +20,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 
 from mbd_ros.features.inverse_dynamics.job import inverse_to
 from mbd_ros.files.bags.bag_types import TYPES
-from mbd_ros.files.bags.bag_writer import Rows
-from mbd_ros.files.bags.bags import BagWriter
+from mbd_ros.files.bags.bag_writer import BagWriter, Rows
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.samples import Task
 from mbd_ros.scene.reader import load_scene

@@ -12,7 +12,8 @@ from installed_package import install
 
 from mbd_ros.errors import DataError
 from mbd_ros.files import formats
-from mbd_ros.files.bags.bags import BagWriter, messages, topic_types
+from mbd_ros.files.bags.bag_reader import messages, topic_types
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.table import Column, Result, Table, read_result
 from mbd_ros.motion.recordings import read_motion, read_wrenches
 

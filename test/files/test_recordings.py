@@ -12,7 +12,9 @@ import pytest
 
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags.bags import BagWriter, messages, new_message, topic_types
+from mbd_ros.files.bags.bag_reader import messages, topic_types
+from mbd_ros.files.bags.bag_types import new_message
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.table import Column, Result, Table, time_columns
 from mbd_ros.files.tables.csv import read_table

@@ -273,7 +273,7 @@ def test_a_threshold_has_one_home_and_a_use():
         ("msg_adapters/wrench.py", "import rclpy"),
         ("msg_adapters/wrench.py", "from geometry_msgs.msg import Wrench"),
         ("msg_adapters/wrench.py", "from mbd_ros.errors import MbdError"),
-        ("mbd_ros/files/bags/bags.py", "from mbd_ros.nodes import shell"),
+        ("mbd_ros/files/bags/bag_reader.py", "from mbd_ros.nodes import shell"),
         ("mbd_ros/applications/demo/run.py", "import mbd_ros.nodes.shell.shell"),
         ("mbd_ros/cli.py", "from mbd_ros.nodes.inverse_dynamics.node import InverseDynamicsNode"),
         ("mbd_ros/features/tools/check.py", "def f():\n    import mbd_ros.nodes.shell.shell"),

@@ -10,7 +10,7 @@ from scipy.interpolate import CubicSpline
 
 import mbd_ros
 from mbd_ros.cli import main
-from mbd_ros.files.bags.bags import new_message
+from mbd_ros.files.bags.bag_types import new_message
 from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.methods.inverse_dynamics.torque_estimator import TorqueEstimator, Tuning
 from mbd_ros.motion.recordings import read_motion

@@ -8,8 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from mbd_ros.files.bags.bag_types import from_cdr
-from mbd_ros.files.bags.bags import new_message
+from mbd_ros.files.bags.bag_types import from_cdr, new_message
 from msg_adapters import diagnostics as diag
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_motion import JointMotionWriter

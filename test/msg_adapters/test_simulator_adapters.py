@@ -6,7 +6,7 @@ from array import array
 import numpy as np
 import pytest
 
-from mbd_ros.files.bags.bags import new_message
+from mbd_ros.files.bags.bag_types import new_message
 from msg_adapters.clock import read_clock, write_clock
 from msg_adapters.commands import CommandReader
 from msg_adapters.errors import MessageError

@@ -11,7 +11,7 @@ from scipy.interpolate import BPoly
 
 from mbd_ros.applications.demo.files import GAINS, MASS_SCALE, PLANT, RATE
 from mbd_ros.applications.demo.task import ROBOTS
-from mbd_ros.files.bags.bags import messages
+from mbd_ros.files.bags.bag_reader import messages
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.time import read_time
 

@@ -22,7 +22,7 @@ from state_projection import FOUR_BAR, LEG, SCENES, measured, nearest_in_z, proj
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import Trigger
 
-from mbd_ros.files.bags.bags import raw_messages
+from mbd_ros.files.bags.bag_reader import raw_messages
 from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN

@@ -7,7 +7,7 @@ from rclpy.serialization import serialize_message
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
-from mbd_ros.files.bags.bags import BagWriter
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import ERROR, OK, WARN
 from msg_adapters.joint_trajectory import read_joint_trajectory

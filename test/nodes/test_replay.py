@@ -15,7 +15,9 @@ from mechanisms import floating_body
 from places import ROOT
 
 from mbd_ros.features.simulation.job import simulate
-from mbd_ros.files.bags.bags import BagWriter, messages, new_message, topic_types
+from mbd_ros.files.bags.bag_reader import messages, topic_types
+from mbd_ros.files.bags.bag_types import new_message
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time

@@ -24,7 +24,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
-from mbd_ros.files.bags.bags import BagWriter, messages, raw_messages
+from mbd_ros.files.bags.bag_reader import messages, raw_messages
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.clock import read_clock
@@ -188,7 +189,7 @@ def test_lock_step_gives_the_same_bag_twice(domain, tmp_path):
 
     A stop acts, so that the QP has a history to forget. And it is the run in this process.
     """
-    from mbd_ros.files.bags.bags import new_message
+    from mbd_ros.files.bags.bag_types import new_message
 
     bag, count = tmp_path / "commands", 120
     with BagWriter(bag) as writer:

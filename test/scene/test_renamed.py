@@ -8,7 +8,7 @@ import pytest
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError, SceneError
-from mbd_ros.files.bags.bags import raw_messages
+from mbd_ros.files.bags.bag_reader import raw_messages
 from mbd_ros.files.table import Column, Table
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema import renamed as names

@@ -25,7 +25,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from mbd_ros.applications.demo.files import GAINS, MODEL, PLANT, RATE
 from mbd_ros.applications.demo.processes import Failed, NodeCommand, running
 from mbd_ros.applications.demo.task import LAWS, ReferenceTrajectory
-from mbd_ros.files.bags.bags import BagWriter, RawMessage
+from mbd_ros.files.bags.bag_reader import RawMessage
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.jobs.isolated_domain import isolated_domain
 from mbd_ros.jobs.progress import progress
 from msg_adapters.diagnostics import Health, read_diagnostics

@@ -25,7 +25,7 @@ from mbd_ros.core.contracts import without_multiplier
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.state import NANOSECOND, NONE, Array
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags.bags import messages
+from mbd_ros.files.bags.bag_reader import messages
 from mbd_ros.parts.forces.prescribed_torque import PrescribedTorque
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import Health, read_diagnostics

@@ -15,7 +15,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 
 from mbd_ros.errors import MbdError
-from mbd_ros.files.bags.bags import BagWriter, new_message
+from mbd_ros.files.bags.bag_types import new_message
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.jobs.progress import progress
 from msg_adapters.diagnostics import read_diagnostics
 from msg_adapters.joint_state import write_joint_state

@@ -27,7 +27,8 @@ from mbd_ros.features.replay.bag_player import (
     BagPlayer,
     ReplayError,
 )
-from mbd_ros.files.bags.bags import BagWriter, RawMessage, raw_messages
+from mbd_ros.files.bags.bag_reader import RawMessage, raw_messages
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.table import MAIN, Column, Result, Table, time_columns
 from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
 from mbd_ros.jobs.isolated_domain import isolated_domain

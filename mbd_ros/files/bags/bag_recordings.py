@@ -1,23 +1,25 @@
-"""Joint states and wrenches out of bags."""
+"""Motions and wrenches out of bags: joint states, odometry of free bodies, loads.
 
-import itertools
+JointStates are read as arrays, whole blocks of one layout or else message by message.
+`MotionBlocks` gives a motion piece by piece, in memory that does not grow with the recording.
+"""
+
+from __future__ import annotations
+
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from functools import reduce
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from rosbags.rosbag2 import Reader
-from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
 from mbd_ros.core.kinematics.poses import with_steady_signs
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags.bag_types import from_cdr
-from mbd_ros.files.bags.bags import CORRUPT, chosen, in_time_order, messages, topic_types
-from mbd_ros.files.bags.mcap_chunks import chunks_in_order, indexed, pieces_of, scanned
+from mbd_ros.files.bags.bag_reader import CORRUPT, RawBlock, messages, raw_blocks, topic_types
+from mbd_ros.files.bags.bag_types import JOINT_STATE, ODOMETRY, WRENCH, from_cdr
 from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
 from msg_adapters.errors import MessageError
@@ -26,135 +28,56 @@ from msg_adapters.joint_state_rows import JointStateRowsReader
 from msg_adapters.odometry import OdometrySample, read_odometry
 from msg_adapters.wrench import WrenchSample, read_wrench
 
-# ---- bag blocks -------------------------------------------------------------------------------
-# Messages of one topic of a bag, many at once.
+_LEAST = 16_384  # messages of a piece, but of the last
+Timed = tuple[int, JointSample | WrenchSample | OdometrySample]  # log time [ns] and sample
 
 
-_ROWS = 4096  # messages of a block, where the file has none of its own
-
-
-class RawBlock(NamedTuple):
-    """Messages as they were recorded, in log-time order.
-
-    Attributes:
-        log_times: When the recorder received them [ns], shape (n,), n > 0.
-        data: Bytes that hold them.
-        starts: Where each begins in `data`, shape (n,).
-        sizes: Length of each, encapsulation included, shape (n,).
-    """
-
-    log_times: NDArray[np.int64]
-    data: NDArray[np.uint8]
-    starts: NDArray[np.int64]
-    sizes: NDArray[np.int64]
-
-    def rows(self) -> NDArray[np.uint8] | None:
-        """One message a row, shape (n, size); None where they differ in length."""
-        size = int(self.sizes[0])
-        if size == 0 or (self.sizes != size).any():
-            return None
-        return pieces_of(self.data, self.starts, size)
-
-    def messages(self) -> Iterator[tuple[int, bytes]]:
-        """Log time and bytes of each."""
-        whole, ends = memoryview(self.data), (self.starts + self.sizes).tolist()
-        for log_time, *place in zip(
-            self.log_times.tolist(), self.starts.tolist(), ends, strict=True
-        ):
-            yield log_time, bytes(whole[slice(*place)])
-
-
-def raw_blocks(path: Path, topic: str, msgtype: str) -> Iterator[RawBlock]:
-    """Messages of a topic in log-time order.
-
-    MCAP files are read chunk by chunk, with the index of messages behind each.
+def bag_motion(path: Path, topic: str, wanted: Wanted) -> Recording:
+    """See `recordings.read_motion`.
 
     Args:
         path: The bag.
-        topic: The topic.
-        msgtype: Type that it must have.
-
-    Raises:
-        DataError: As `bags.raw_messages`.
+        topic: Of the joint states of the only robot; the others are beside it.
+        wanted: What is read.
     """
-    with chosen(path, {topic: msgtype}) as (reader, connections, missing):
-        for block in _blocks(reader, connections):
-            missing[topic] -= len(block.log_times)
-            yield block
+    dropped = Counter[str]()
+    streams = {}
+    for member, joints in by_member(wanted.joints, wanted.members).items():
+        its = beside(topic, joint_state_topic(member)) if member else topic
+        needed = [own for own, name in joints.items() if name in wanted.needed]
+        if needed or its in topic_types(path) or not (member or wanted.bodies):
+            streams[its] = joint_samples(path, list(joints), its, needed, dropped)
+    for body, link in wanted.bodies.items():
+        its = beside(topic, odometry_topic(body))
+        streams[its] = _body_samples(path, its, link, dropped)
+    stamps, kept, by_log_time = _paired(path, streams, dropped)
+    return Recording(_motion(topic, wanted, stamps, kept), dropped, by_log_time)
 
 
-def _blocks(reader: Reader, connections: list[Any]) -> Iterator[RawBlock]:
-    """Storage by storage where these follow each other in time."""
-    storages = _storages(reader, connections)
-    spans = [(one.metadata.start_time, one.metadata.end_time - 1) for one, _ in storages]
-    pairs = itertools.pairwise(spans)
-    if not storages or any(begin < end for (_, end), (begin, _) in pairs):
-        stream = in_time_order(reader, connections)
-        yield from _joined((log_time, cdr) for _, log_time, cdr in stream)
-        return
-    for storage, own in storages:
-        if isinstance(storage, Sqlite3Reader):
-            yield from _joined(_selected(storage, own))
-            continue
-        chunks = chunks_in_order(storage, own)
-        if chunks is None:
-            stream = storage.messages(own)
-            yield from _joined((log_time, cdr) for _, log_time, cdr in stream)
-        for chunk in chunks or ():
-            found = indexed(storage, chunk, own)
-            if found is None:
-                yield from _joined(scanned(storage, chunk, own))
-            else:
-                yield RawBlock(*found)
+class Wanted(NamedTuple):
+    """What is wanted of a motion.
+
+    Attributes:
+        joints: Names, in the order of the columns.
+        needed: Those that must have a finite position.
+        bodies: Free bodies, which must have a pose, and the link that stands for each.
+        members: Names of robots and bodies in front of those of their joints, see `topics`.
+    """
+
+    joints: tuple[str, ...]
+    needed: tuple[str, ...] = ()
+    bodies: Mapping[str, str] = NO_BODIES
+    members: frozenset[str] = frozenset()
 
 
-def _storages(reader: Reader, connections: Sequence[Any]) -> list[tuple[Any, list[Any]]]:
-    """Storages and their connections; none where each message is compressed by itself."""
-    if reader.compression_mode == "message":
-        return []
-    found = []
-    for storage in getattr(reader.storage, "storages", [reader.storage]):
-        own = [x for x in storage.connections if any(_is_same(x, y) for y in connections)]
-        if own:
-            found.append((storage, own))
-    return found
-
-
-def _is_same(own: Any, wanted: Any) -> bool:
-    """Whether a connection of a storage is that of the bag, as rosbags tells them apart."""
-    alike = (own.topic, own.msgtype, own.ext) == (wanted.topic, wanted.msgtype, wanted.ext)
-    return alike and (not own.digest or not wanted.digest or own.digest == wanted.digest)
-
-
-def _selected(storage: Sqlite3Reader, connections: Sequence[Any]) -> Iterator[tuple[int, bytes]]:
-    """Log time and bytes of messages of connections, as sqlite3 gives them."""
-    assert storage.dbconn is not None
-    ids = tuple({c.id for c in connections})
-    places = ", ".join("?" * len(ids))
-    rows: Iterator[tuple[int, bytes]] = storage.dbconn.execute(
-        f"SELECT timestamp, data FROM messages WHERE topic_id IN ({places}) ORDER BY timestamp",
-        ids,
-    )
-    return rows
-
-
-def _joined(stream: Iterable[tuple[int, bytes]]) -> Iterator[RawBlock]:
-    """Blocks of messages that come one by one."""
-    stream = iter(stream)
-    while taken := list(itertools.islice(stream, _ROWS)):
-        log_times, messages = zip(*taken, strict=True)
-        sizes = np.fromiter(map(len, messages), np.int64, len(messages))
-        data = np.frombuffer(b"".join(messages), np.uint8)
-        yield RawBlock(np.array(log_times, np.int64), data, np.cumsum(sizes) - sizes, sizes)
-
-
-# ---- bag joint states -------------------------------------------------------------------------
-# Joint states out of bags, as arrays: whole blocks of one layout, else message by message.
-
-
-JOINT_STATE = "sensor_msgs/msg/JointState"
-
-Timed = tuple[int, JointSample | WrenchSample | OdometrySample]  # log time [ns] and sample
+def joint_samples(
+    path: Path, joints: Sequence[str], topic: str, needed: Sequence[str], dropped: Counter[str]
+) -> Samples:
+    """Position, velocity and effort of each JointState that can be used."""
+    joint_states = JointStates(path, topic, joints, needed, dropped)
+    parts = [joint_states.of(block) for block in raw_blocks(path, topic, JOINT_STATE)]
+    joint_states.check([part for part in parts if len(part.stamps)])
+    return joined(parts)
 
 
 class Samples(NamedTuple):
@@ -169,25 +92,6 @@ class Samples(NamedTuple):
     log_times: NDArray[np.int64]
     stamps: NDArray[np.int64]
     fields: tuple[Array, ...]
-
-
-def joint_samples(
-    path: Path, joints: Sequence[str], topic: str, needed: Sequence[str], dropped: Counter[str]
-) -> Samples:
-    """Position, velocity and effort of each JointState that can be used."""
-    joint_states = JointStates(path, topic, joints, needed, dropped)
-    parts = [joint_states.of(block) for block in raw_blocks(path, topic, JOINT_STATE)]
-    joint_states.check([part for part in parts if len(part.stamps)])
-    return joined(parts)
-
-
-def joined(parts: Sequence[Samples]) -> Samples:
-    """Samples after each other."""
-    if len(parts) == 1:
-        return parts[0]
-    fields = tuple(np.concatenate(each) for each in zip(*(p.fields for p in parts), strict=True))
-    log_times, stamps = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
-    return Samples(log_times, stamps, fields)
 
 
 class JointStates:
@@ -262,6 +166,12 @@ class JointStates:
         return Samples(*times_of(samples), tuple(fields))
 
 
+def check_any(where: str, samples: Sequence[object], dropped: Counter[str]) -> None:
+    """Raise DataError where no message of a topic can be used."""
+    if not samples:
+        raise DataError(f"{where}: no usable message, dropped: {dict(dropped)}")
+
+
 def times_of(samples: Sequence[Timed]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Log times and stamps of samples [ns]."""
     pairs = [(log_time, sample.stamp) for log_time, sample in samples]
@@ -269,21 +179,113 @@ def times_of(samples: Sequence[Timed]) -> tuple[NDArray[np.int64], NDArray[np.in
     return log_times, stamps
 
 
-def check_any(where: str, samples: Sequence[object], dropped: Counter[str]) -> None:
-    """Raise DataError where no message of a topic can be used."""
-    if not samples:
-        raise DataError(f"{where}: no usable message, dropped: {dict(dropped)}")
+def joined(parts: Sequence[Samples]) -> Samples:
+    """Samples after each other."""
+    if len(parts) == 1:
+        return parts[0]
+    fields = tuple(np.concatenate(each) for each in zip(*(p.fields for p in parts), strict=True))
+    log_times, stamps = (np.concatenate([part[i] for part in parts]) for i in (0, 1))
+    return Samples(log_times, stamps, fields)
 
 
-# ---- motion blocks ----------------------------------------------------------------------------
-# The motion of a bag piece by piece, in memory that does not grow with the recording.
+def _body_samples(path: Path, topic: str, link: str, dropped: Counter[str]) -> Samples:
+    """Pose and twist of each Odometry that can be used."""
+    samples: list[tuple[int, OdometrySample]] = []
+    for _, log_time, msg in messages(path, {topic: ODOMETRY}):
+        try:
+            samples.append((log_time, read_odometry(msg, link)))
+        except MessageError as error:
+            dropped[f"{topic}: {str(error).partition(':')[0]}"] += 1
+    check_any(f"{path}: topic {topic}", samples, dropped)
+    fields = np.array([s.pose for _, s in samples]), np.array([s.twist for _, s in samples])
+    return Samples(*times_of(samples), fields)
 
 
-_LEAST = 16_384  # messages of a piece, but of the last
+def _paired(
+    path: Path, streams: Mapping[str, Samples], dropped: Counter[str]
+) -> tuple[NDArray[np.int64], dict[str, tuple[Array, ...]], bool]:
+    """Stamps that all streams have, their fields by topic, and whether they are log times.
+
+    Raises:
+        DataError: Messages of several topics have no stamps, or none in common.
+    """
+    clocks = {topic: _clock(*samples[:2], dropped) for topic, samples in streams.items()}
+    by_log_time = any(clock[2] for clock in clocks.values())
+    if by_log_time and len(streams) > 1:
+        raise DataError(
+            f"{path}: {', '.join(streams)}: messages are paired by stamps, and some are 0"
+        )
+    common = reduce(np.intersect1d, [clock[0] for clock in clocks.values()])
+    if not len(common):
+        raise DataError(f"{path}: {', '.join(streams)}: no stamp that all of them have")
+    kept = {}
+    for topic, (stamps, order, _) in clocks.items():
+        if len(common) < len(stamps):
+            dropped[f"{topic}: no message of its stamp on the other topics"] += len(stamps) - len(
+                common
+            )
+            order = order[np.isin(stamps, common)]
+        fields = streams[topic].fields
+        whole = len(order) == len(streams[topic].stamps)
+        kept[topic] = fields if whole else tuple(field[order] for field in fields)
+    return common, kept, by_log_time
 
 
-class WholeNeededError(DataError):
-    """A recording that can be read as a whole only."""
+def _clock(
+    log_times: NDArray[np.int64], stamps: NDArray[np.int64], dropped: Counter[str]
+) -> tuple[NDArray[np.int64], NDArray[np.intp], bool]:
+    """Strictly increasing stamps, the samples they belong to, and whether they are log times."""
+    by_log_time = not stamps.all()
+    if by_log_time:
+        stamps = log_times
+    newest = np.maximum.accumulate(stamps)
+    kept = np.flatnonzero(np.r_[True, stamps[1:] > newest[:-1]])
+    if kept.size < stamps.size:
+        dropped["stamp is not newer than all before"] += int(stamps.size - kept.size)
+    return stamps[kept], kept, by_log_time
+
+
+def _motion(
+    topic: str, wanted: Wanted, stamps: NDArray[np.int64], kept: Mapping[str, tuple[Array, ...]]
+) -> Motion:
+    """The motion of samples by topic, all of the same stamps."""
+    joints = by_member(wanted.joints, wanted.members)
+    if list(joints.values()) == [{name: name for name in wanted.joints}] and topic in kept:
+        position, velocity, effort = kept[topic]
+    else:
+        position, velocity, effort = (
+            np.full((len(stamps), len(wanted.joints)), np.nan) for _ in "pve"
+        )
+        for member, own in joints.items():
+            its = beside(topic, joint_state_topic(member)) if member else topic
+            at = [wanted.joints.index(name) for name in own.values()]
+            if its in kept:
+                for whole, part in zip((position, velocity, effort), kept[its], strict=True):
+                    whole[:, at] = part
+    bodies = []
+    for body in wanted.bodies:
+        pose, twist = kept[beside(topic, odometry_topic(body))]
+        bodies.append(BodyMotion(body, with_steady_signs(pose), _absent_if_nan(twist)))
+    fields = without_infinite(position), _absent_if_nan(without_infinite(velocity)), None
+    return Motion(
+        wanted.joints,
+        stamps,
+        *fields,
+        _absent_if_nan(without_infinite(effort)),
+        None,
+        tuple(bodies),
+    )
+
+
+def _absent_if_nan(values: Array) -> Array | None:
+    return None if np.isnan(values).all() else values
+
+
+def without_infinite(values: np.ndarray) -> np.ndarray:
+    """Values whose infinite ones are absent."""
+    if np.isinf(values).any():
+        values = np.where(np.isinf(values), np.nan, values)
+    return values
 
 
 class MotionBlocks:
@@ -348,150 +350,8 @@ class MotionBlocks:
         return Motion(self._joints, samples.stamps[rows], position, velocity, effort=effort)
 
 
-def without_infinite(values: np.ndarray) -> np.ndarray:
-    """Values whose infinite ones are absent."""
-    if np.isinf(values).any():
-        values = np.where(np.isinf(values), np.nan, values)
-    return values
-
-
-# ---- bag recordings ---------------------------------------------------------------------------
-# Joint states and wrenches out of bags.
-
-
-WRENCH = "geometry_msgs/msg/WrenchStamped"
-ODOMETRY = "nav_msgs/msg/Odometry"
-
-
-class Wanted(NamedTuple):
-    """What is wanted of a motion.
-
-    Attributes:
-        joints: Names, in the order of the columns.
-        needed: Those that must have a finite position.
-        bodies: Free bodies, which must have a pose, and the link that stands for each.
-        members: Names of robots and bodies in front of those of their joints, see `topics`.
-    """
-
-    joints: tuple[str, ...]
-    needed: tuple[str, ...] = ()
-    bodies: Mapping[str, str] = NO_BODIES
-    members: frozenset[str] = frozenset()
-
-
-def bag_motion(path: Path, topic: str, wanted: Wanted) -> Recording:
-    """See `recordings.read_motion`.
-
-    Args:
-        path: The bag.
-        topic: Of the joint states of the only robot; the others are beside it.
-        wanted: What is read.
-    """
-    dropped = Counter[str]()
-    streams = {}
-    for member, joints in by_member(wanted.joints, wanted.members).items():
-        its = beside(topic, joint_state_topic(member)) if member else topic
-        needed = [own for own, name in joints.items() if name in wanted.needed]
-        if needed or its in topic_types(path) or not (member or wanted.bodies):
-            streams[its] = joint_samples(path, list(joints), its, needed, dropped)
-    for body, link in wanted.bodies.items():
-        its = beside(topic, odometry_topic(body))
-        streams[its] = _body_samples(path, its, link, dropped)
-    stamps, kept, by_log_time = _paired(path, streams, dropped)
-    return Recording(_motion(topic, wanted, stamps, kept), dropped, by_log_time)
-
-
-def _motion(
-    topic: str, wanted: Wanted, stamps: NDArray[np.int64], kept: Mapping[str, tuple[Array, ...]]
-) -> Motion:
-    """The motion of samples by topic, all of the same stamps."""
-    joints = by_member(wanted.joints, wanted.members)
-    if list(joints.values()) == [{name: name for name in wanted.joints}] and topic in kept:
-        position, velocity, effort = kept[topic]
-    else:
-        position, velocity, effort = (
-            np.full((len(stamps), len(wanted.joints)), np.nan) for _ in "pve"
-        )
-        for member, own in joints.items():
-            its = beside(topic, joint_state_topic(member)) if member else topic
-            at = [wanted.joints.index(name) for name in own.values()]
-            if its in kept:
-                for whole, part in zip((position, velocity, effort), kept[its], strict=True):
-                    whole[:, at] = part
-    bodies = []
-    for body in wanted.bodies:
-        pose, twist = kept[beside(topic, odometry_topic(body))]
-        bodies.append(BodyMotion(body, with_steady_signs(pose), _absent_if_nan(twist)))
-    fields = without_infinite(position), _absent_if_nan(without_infinite(velocity)), None
-    return Motion(
-        wanted.joints,
-        stamps,
-        *fields,
-        _absent_if_nan(without_infinite(effort)),
-        None,
-        tuple(bodies),
-    )
-
-
-def _paired(
-    path: Path, streams: Mapping[str, Samples], dropped: Counter[str]
-) -> tuple[NDArray[np.int64], dict[str, tuple[Array, ...]], bool]:
-    """Stamps that all streams have, their fields by topic, and whether they are log times.
-
-    Raises:
-        DataError: Messages of several topics have no stamps, or none in common.
-    """
-    clocks = {topic: _clock(*samples[:2], dropped) for topic, samples in streams.items()}
-    by_log_time = any(clock[2] for clock in clocks.values())
-    if by_log_time and len(streams) > 1:
-        raise DataError(
-            f"{path}: {', '.join(streams)}: messages are paired by stamps, and some are 0"
-        )
-    common = reduce(np.intersect1d, [clock[0] for clock in clocks.values()])
-    if not len(common):
-        raise DataError(f"{path}: {', '.join(streams)}: no stamp that all of them have")
-    kept = {}
-    for topic, (stamps, order, _) in clocks.items():
-        if len(common) < len(stamps):
-            dropped[f"{topic}: no message of its stamp on the other topics"] += len(stamps) - len(
-                common
-            )
-            order = order[np.isin(stamps, common)]
-        fields = streams[topic].fields
-        whole = len(order) == len(streams[topic].stamps)
-        kept[topic] = fields if whole else tuple(field[order] for field in fields)
-    return common, kept, by_log_time
-
-
-def _body_samples(path: Path, topic: str, link: str, dropped: Counter[str]) -> Samples:
-    """Pose and twist of each Odometry that can be used."""
-    samples: list[tuple[int, OdometrySample]] = []
-    for _, log_time, msg in messages(path, {topic: ODOMETRY}):
-        try:
-            samples.append((log_time, read_odometry(msg, link)))
-        except MessageError as error:
-            dropped[f"{topic}: {str(error).partition(':')[0]}"] += 1
-    check_any(f"{path}: topic {topic}", samples, dropped)
-    fields = np.array([s.pose for _, s in samples]), np.array([s.twist for _, s in samples])
-    return Samples(*times_of(samples), fields)
-
-
-def _clock(
-    log_times: NDArray[np.int64], stamps: NDArray[np.int64], dropped: Counter[str]
-) -> tuple[NDArray[np.int64], NDArray[np.intp], bool]:
-    """Strictly increasing stamps, the samples they belong to, and whether they are log times."""
-    by_log_time = not stamps.all()
-    if by_log_time:
-        stamps = log_times
-    newest = np.maximum.accumulate(stamps)
-    kept = np.flatnonzero(np.r_[True, stamps[1:] > newest[:-1]])
-    if kept.size < stamps.size:
-        dropped["stamp is not newer than all before"] += int(stamps.size - kept.size)
-    return stamps[kept], kept, by_log_time
-
-
-def _absent_if_nan(values: Array) -> Array | None:
-    return None if np.isnan(values).all() else values
+class WholeNeededError(DataError):
+    """A recording that can be read as a whole only."""
 
 
 def bag_wrenches(

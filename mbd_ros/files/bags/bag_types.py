@@ -14,6 +14,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from mbd_ros.errors import DataError
 
+JOINT_STATE, ODOMETRY = "sensor_msgs/msg/JointState", "nav_msgs/msg/Odometry"
+WRENCH = "geometry_msgs/msg/WrenchStamped"
+MULTI_ARRAY, STRING = "std_msgs/msg/Float64MultiArray", "std_msgs/msg/String"
 TYPES = get_typestore(Stores.ROS2_JAZZY)
 ZEROS = {"string": "", "bool": False, "float32": 0.0, "float64": 0.0}
 DTYPES = {"byte": "uint8", "char": "uint8"}

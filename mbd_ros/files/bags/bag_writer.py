@@ -1,8 +1,13 @@
-"""rosbag2 recordings written whole or not at all."""
+"""rosbag2 recordings written whole or not at all, one message or many of several topics at once.
+
+Many at once go past the writer of rosbags to its storage: MCAP chunks with the index of messages
+behind each (see `mcap_chunks`), or rows of sqlite3.
+"""
+
+from __future__ import annotations
 
 import itertools
 import os
-import re
 import shutil
 import sqlite3
 import struct
@@ -22,165 +27,14 @@ from rosbags.rosbag2 import StoragePlugin, Writer, WriterError
 from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 
-from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_paths import MARK, check_target
-from mbd_ros.files.bags.bag_types import TYPES, new_message, to_cdr
+from mbd_ros.files.bags.bag_types import TYPES, to_cdr
 from mbd_ros.files.bags.mcap_chunks import MESSAGE, MESSAGE_INDEX, RECORD, put_pieces
-from mbd_ros.files.body_columns import POSE, TWIST, names_of
-from mbd_ros.files.table import MAIN, Column, Table
-from msg_adapters.joint_state_rows import joint_state_rows
-from msg_adapters.odometry import OdometryCdrWriter
-from msg_adapters.rows import refilled
-
-# ---- bag rows ---------------------------------------------------------------------------------
-# Many messages of several topics, written to the storage of a bag at once.
-
 
 _CHUNK = 2**20  # bytes after which rosbags ends a chunk
 _NEVER = 2**63 - 1
 _INSERTED = 32  # messages a statement of sqlite3, which costs more than a message
-
-
-class Rows(NamedTuple):
-    """Messages of a topic that are equally long.
-
-    Attributes:
-        topic: Its name.
-        msgtype: As `sensor_msgs/msg/JointState`.
-        log_times: [ns], shape (n,).
-        cdr: Serialized messages with their encapsulation, one a row, shape (n, size).
-    """
-
-    topic: str
-    msgtype: str
-    log_times: NDArray[np.int64]
-    cdr: NDArray[np.uint8]
-
-
-def append(storage: Any, parts: Sequence[Rows], channels: Sequence[int]) -> None:
-    """Write messages in the order of their log times, those of one time in the order of parts.
-
-    Args:
-        storage: Writer of rosbags, MCAP without compression or sqlite3.
-        parts: The messages.
-        channels: Number of the connection of each part.
-    """
-    times = np.concatenate([part.log_times for part in parts])
-    order = np.argsort(times, kind="stable")
-    if isinstance(storage, Sqlite3Writer):
-        _insert(storage, parts, channels, order)
-    else:
-        _append(storage, parts, channels, order)
-
-
-def _insert(
-    storage: Sqlite3Writer, parts: Sequence[Rows], channels: Sequence[int], order: NDArray[np.intp]
-) -> None:
-    rows: list[tuple[int, int, bytes]] = []
-    for part, channel in zip(parts, channels, strict=True):
-        times, whole, size = part.log_times.tolist(), part.cdr.tobytes(), part.cdr.shape[1]
-        begins = range(0, len(whole), size)
-        rows += [(channel, t, whole[i : i + size]) for t, i in zip(times, begins, strict=True)]
-    numbers = list(itertools.chain.from_iterable([rows[i] for i in order.tolist()]))
-    several = len(rows) // _INSERTED * _INSERTED
-    for begin, end, count in ((0, several, _INSERTED), (several, len(rows), 1)):
-        places = [slice(3 * i, 3 * (i + count)) for i in range(begin, end, count)]
-        storage.cursor.executemany(
-            f"INSERT INTO messages (topic_id, timestamp, data) VALUES {_values(count)}",
-            [numbers[place] for place in places],
-        )
-
-
-def _values(count: int) -> str:
-    """Places of the numbers of so many messages in a statement."""
-    return ", ".join(["(?, ?, ?)"] * count)
-
-
-def _append(
-    storage: McapWriter, parts: Sequence[Rows], channels: Sequence[int], order: NDArray[np.intp]
-) -> None:
-    """Chunks of about the length that rosbags gives them; what it has pending goes first."""
-    sizes = [part.cdr.shape[1] + RECORD.itemsize for part in parts]
-    counts = [len(part.log_times) for part in parts]
-    in_order = np.repeat(np.array(sizes, np.int64), counts)[order]
-    pending = storage.chunk.bio.getvalue()
-    places = np.empty(len(order), np.int64)  # of the messages, part by part
-    ends = len(pending) + np.cumsum(in_order)
-    places[order] = ends - in_order
-    data = np.empty(int(ends[-1]), np.uint8)
-    data[: len(pending)] = np.frombuffer(pending, np.uint8)
-    each = np.split(places, np.cumsum(counts)[:-1])
-    for part, channel, at in zip(parts, channels, each, strict=True):
-        heads = np.zeros(len(at), RECORD)
-        heads["opcode"], heads["channel"] = MESSAGE, channel
-        heads["length"] = part.cdr.shape[1] + RECORD.itemsize - 9
-        heads["log_time"] = heads["publish_time"] = part.log_times
-        put_pieces(data, at, heads.view(np.uint8).reshape(len(at), -1))
-        put_pieces(data, at + RECORD.itemsize, part.cdr)
-    index: dict[int, list[Any]] = {c: [found] for c, found in storage.chunk.msgs.items()}
-    for part, channel, at in zip(parts, channels, each, strict=True):
-        by_place = np.argsort(at, kind="stable")
-        own = np.stack((part.log_times[by_place], at[by_place]), axis=1)
-        index.setdefault(channel, []).append(own)
-    entries = {channel: np.concatenate(found) for channel, found in index.items()}
-    for begin, end in itertools.pairwise(_ends_of_chunks(ends)):
-        _write_chunk(storage, data[begin:end], list(_within(entries, begin, end)))
-    for channel, part in zip(channels, parts, strict=True):
-        storage.channel_stats[channel] += len(part.log_times)
-        span = int(part.log_times.min(initial=_NEVER)), int(part.log_times.max(initial=0))
-        storage.message_start_time = min(storage.message_start_time, span[0])
-        storage.message_end_time = max(storage.message_end_time, span[1])
-    storage.chunk = PendingChunk(_NEVER, 0, BytesIO(), defaultdict(list))
-
-
-def _ends_of_chunks(ends: NDArray[np.int64]) -> list[int]:
-    """0, and where chunks end that begin there, of messages that end at these places."""
-    found = [0]
-    while found[-1] < ends[-1]:
-        last = np.searchsorted(ends, found[-1] + _CHUNK, side="right")
-        found.append(int(ends[min(last, len(ends) - 1)]))
-    return found
-
-
-def _within(
-    index: Mapping[int, NDArray[np.int64]], begin: int, end: int
-) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """Channels and entries of the messages of a chunk."""
-    for channel, entries in index.items():
-        first, last = np.searchsorted(entries[:, 1], (begin, end))
-        if last > first:
-            yield channel, entries[first:last] - (0, begin)
-
-
-def _write_chunk(
-    storage: McapWriter, data: NDArray[np.uint8], index: Sequence[tuple[int, NDArray[np.int64]]]
-) -> None:
-    """Write a chunk and the indices of its messages, as `McapWriter.close_chunk`."""
-    bio, begin = storage.bio, storage.bio.tell()
-    times = np.concatenate([entries[:, 0] for _, entries in index])
-    span = struct.pack("<QQ", int(times.min()), int(times.max()))
-    packing = struct.pack("<I", 0)  # no compression
-    size = struct.pack("<Q", len(data))
-    head = span + size + struct.pack("<I", 0) + packing + size
-    bio.write(struct.pack("<BQ", 0x06, len(head) + len(data)) + head)
-    bio.write(data.data)
-    end, offsets = bio.tell(), b""
-    for channel, entries in index:
-        offsets += struct.pack("<HQ", channel, bio.tell())
-        content = entries.astype("<u8").tobytes()
-        own = struct.pack("<HI", channel, len(content)) + content
-        bio.write(struct.pack("<BQ", MESSAGE_INDEX, len(own)) + own)
-    about = BytesIO()
-    about.write(span + struct.pack("<QQI", begin, end - begin, len(offsets)) + offsets)
-    about.write(struct.pack("<Q", bio.tell() - end) + packing + size + size)
-    storage.chunks.append(about)
-
-
-# ---- bag writer -------------------------------------------------------------------------------
-# rosbag2 recordings written whole or not at all.
-
-
 _SHOWN = 40  # characters of a name in that of a temporary folder: names end at 255 bytes
 PLUGINS = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
 
@@ -201,7 +55,7 @@ class BagWriter:
         self.path = Path(os.path.abspath(path))
         self._connections: dict[str, Connection] = {}
 
-    def __enter__(self) -> "BagWriter":
+    def __enter__(self) -> BagWriter:
         with self._failing():
             check_target(self.path)
             self._room = Path(
@@ -305,199 +159,132 @@ class BagWriter:
             raise DataError(f"{self.path}: cannot be written ({error})") from error
 
 
-# ---- bag streams ------------------------------------------------------------------------------
-# Columns of a result, and the messages of a bag that hold them.
-#
-# `metadata["topics"]` of a result maps its `samples`: topic -> field of a JointState ->
-# quantity, so that the joints on a topic are those with a column `<joint>.<quantity>` of the first
-# field, or -> name -> column; or topic -> `data` -> columns of a Float64MultiArray; or topic ->
-# `body` -> the free body whose pose and twist it carries as Odometry. Numbers that no such topic
-# takes are in a Float64MultiArray on `/<table>`, whose layout labels are their names.
-
-
-JOINT_STATE, MULTI_ARRAY = "sensor_msgs/msg/JointState", "std_msgs/msg/Float64MultiArray"
-ODOMETRY = "nav_msgs/msg/Odometry"
-FIELDS = ("position", "velocity", "effort")  # of a JointState
-BODY_FIELDS = {"pose": POSE, "twist": TWIST}  # of an Odometry
-TOPICS = {"/joint_states": {field: field for field in FIELDS}}  # where a result says nothing
-_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]*(/[A-Za-z][A-Za-z0-9_]*)*")
-
-
-class Stream(NamedTuple):
-    """Contents of a topic.
+class Rows(NamedTuple):
+    """Messages of a topic that are equally long.
 
     Attributes:
         topic: Its name.
-        msgtype: JointState, Odometry or Float64MultiArray.
-        names: Joints, frames of pose and twist, or labels; empty labels are not written.
-        fields: Field of the message -> its values, shape (n, width).
+        msgtype: As `sensor_msgs/msg/JointState`.
+        log_times: [ns], shape (n,).
+        cdr: Serialized messages with their encapsulation, one a row, shape (n, size).
     """
 
     topic: str
     msgtype: str
-    names: tuple[str, ...]
-    fields: Mapping[str, Array]
-
-    def rows(self, stamps: NDArray[np.int64], chosen: slice | NDArray[np.intp]) -> Rows:
-        """Serialized messages of some rows.
-
-        Args:
-            stamps: Of the chosen rows [ns], shape (n,).
-            chosen: The rows.
-
-        Raises:
-            MessageError: What no message can carry.
-        """
-        fields = {name: values[chosen] for name, values in self.fields.items()}
-        if self.msgtype == JOINT_STATE:
-            cdr = joint_state_rows(self.names, stamps, fields)
-        elif self.msgtype == ODOMETRY:
-            cdr = OdometryCdrWriter(*self.names).rows(stamps, fields["pose"], fields["twist"])
-        else:
-            template = self._template()
-            cdr = refilled(template, {len(template) - 8 * self.width: fields["data"]})
-        return Rows(self.topic, self.msgtype, stamps, cdr)
-
-    @property
-    def width(self) -> int:
-        """Numbers in a row of the first field."""
-        return int(next(iter(self.fields.values())).shape[1])
-
-    def _template(self) -> bytes:
-        """A serialized Float64MultiArray of zeros, which stand at its end."""
-        message = new_message(MULTI_ARRAY)
-        message.data = np.zeros(self.width)
-        for name in self.names:
-            dimension = new_message("std_msgs/msg/MultiArrayDimension")
-            dimension.label, dimension.size, dimension.stride = name, 1, 1
-            message.layout.dim.append(dimension)
-        return bytes(to_cdr(message, MULTI_ARRAY))
+    log_times: NDArray[np.int64]
+    cdr: NDArray[np.uint8]
 
 
-def streams_of(
-    name: str, table: Table, topics: Mapping[str, Mapping[str, Any]] | None
-) -> tuple[list[Stream], dict[str, dict[str, Any]]]:
-    """Streams of a table, and where each column is: topic, field, place in it, shape and kind.
+def append(storage: Any, parts: Sequence[Rows], channels: Sequence[int]) -> None:
+    """Write messages in the order of their log times, those of one time in the order of parts.
 
     Args:
-        name: Of the table.
-        table: Columns of numbers.
-        topics: Those of the metadata, or None.
-
-    Raises:
-        DataError: A name that no topic can have.
+        storage: Writer of rosbags, MCAP without compression or sqlite3.
+        parts: The messages.
+        channels: Number of the connection of each part.
     """
-    if not _NAME.fullmatch(name):
-        raise DataError(
-            f"table {name!r}: no name of a topic, accepted are letters, digits, _ and /"
+    times = np.concatenate([part.log_times for part in parts])
+    order = np.argsort(times, kind="stable")
+    if isinstance(storage, Sqlite3Writer):
+        _insert(storage, parts, channels, order)
+    else:
+        _append(storage, parts, channels, order)
+
+
+def _insert(
+    storage: Sqlite3Writer, parts: Sequence[Rows], channels: Sequence[int], order: NDArray[np.intp]
+) -> None:
+    rows: list[tuple[int, int, bytes]] = []
+    for part, channel in zip(parts, channels, strict=True):
+        times, whole, size = part.log_times.tolist(), part.cdr.tobytes(), part.cdr.shape[1]
+        begins = range(0, len(whole), size)
+        rows += [(channel, t, whole[i : i + size]) for t, i in zip(times, begins, strict=True)]
+    numbers = list(itertools.chain.from_iterable([rows[i] for i in order.tolist()]))
+    several = len(rows) // _INSERTED * _INSERTED
+    for begin, end, count in ((0, several, _INSERTED), (several, len(rows), 1)):
+        places = [slice(3 * i, 3 * (i + count)) for i in range(begin, end, count)]
+        values = ", ".join(["(?, ?, ?)"] * count)
+        storage.cursor.executemany(
+            f"INSERT INTO messages (topic_id, timestamp, data) VALUES {values}",
+            [numbers[place] for place in places],
         )
-    streams: list[Stream] = []
-    where: dict[str, dict[str, Any]] = {}
-    chosen = _checked(topics or TOPICS) if name == MAIN else {}
-    arrays = {column for fields in chosen.values() for column in fields.get("data", ())}
-    others = Table(column for column in table.columns if column.name not in arrays)
-    for topic, fields in chosen.items():
-        if "data" in fields:
-            taken = _multi_array(topic, fields, table)
-        elif "body" in fields:
-            taken = _odometry(topic, fields["body"], table)
-        else:
-            taken = _joint_states(topic, fields, others)
-        if taken is not None:
-            streams.append(taken[0])
-            where = taken[1] | where
-    rest = [column for column in table.columns if column.name not in where]
-    stream, places = _rest(f"/{name}", rest, table.rows)
-    return [*streams, stream], where | places
 
 
-def _checked(topics: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping[str, Any]]:
-    for topic, fields in topics.items():
-        if not set(fields) <= {*FIELDS} and list(fields) not in (["data"], ["body"]):
-            raise DataError(
-                f"metadata topics: {topic}: fields {', '.join(fields)}, accepted: "
-                f"{', '.join(FIELDS)}, or data or body alone"
-            )
-    return dict(topics)
+def _append(
+    storage: McapWriter, parts: Sequence[Rows], channels: Sequence[int], order: NDArray[np.intp]
+) -> None:
+    """Chunks of about the length that rosbags gives them; what it has pending goes first."""
+    sizes = [part.cdr.shape[1] + RECORD.itemsize for part in parts]
+    counts = [len(part.log_times) for part in parts]
+    in_order = np.repeat(np.array(sizes, np.int64), counts)[order]
+    pending = storage.chunk.bio.getvalue()
+    places = np.empty(len(order), np.int64)  # of the messages, part by part
+    ends = len(pending) + np.cumsum(in_order)
+    places[order] = ends - in_order
+    data = np.empty(int(ends[-1]), np.uint8)
+    data[: len(pending)] = np.frombuffer(pending, np.uint8)
+    each = np.split(places, np.cumsum(counts)[:-1])
+    for part, channel, at in zip(parts, channels, each, strict=True):
+        heads = np.zeros(len(at), RECORD)
+        heads["opcode"], heads["channel"] = MESSAGE, channel
+        heads["length"] = part.cdr.shape[1] + RECORD.itemsize - 9
+        heads["log_time"] = heads["publish_time"] = part.log_times
+        put_pieces(data, at, heads.view(np.uint8).reshape(len(at), -1))
+        put_pieces(data, at + RECORD.itemsize, part.cdr)
+    index: dict[int, list[Any]] = {c: [found] for c, found in storage.chunk.msgs.items()}
+    for part, channel, at in zip(parts, channels, each, strict=True):
+        by_place = np.argsort(at, kind="stable")
+        own = np.stack((part.log_times[by_place], at[by_place]), axis=1)
+        index.setdefault(channel, []).append(own)
+    entries = {channel: np.concatenate(found) for channel, found in index.items()}
+    for begin, end in itertools.pairwise(_ends_of_chunks(ends)):
+        _write_chunk(storage, data[begin:end], list(_within(entries, begin, end)))
+    for channel, part in zip(channels, parts, strict=True):
+        storage.channel_stats[channel] += len(part.log_times)
+        span = int(part.log_times.min(initial=_NEVER)), int(part.log_times.max(initial=0))
+        storage.message_start_time = min(storage.message_start_time, span[0])
+        storage.message_end_time = max(storage.message_end_time, span[1])
+    storage.chunk = PendingChunk(_NEVER, 0, BytesIO(), defaultdict(list))
 
 
-def _joint_states(
-    topic: str, fields: Mapping[str, Any], table: Table
-) -> tuple[Stream, dict[str, dict[str, Any]]] | None:
-    first = _columns(next(iter(fields.values())), table)
-    names = tuple(name for name, column in first.items() if _is_plain(table, column))
-    columns = {}
-    for field, quantity in fields.items():
-        found = _columns(quantity, table)
-        if names and all(_is_plain(table, found.get(name, "")) for name in names):
-            columns[field] = [found[name] for name in names]
-    if not columns:
-        return None
-    values, where = _fields(topic, columns, table)
-    return Stream(topic, JOINT_STATE, names, values), where
+def _ends_of_chunks(ends: NDArray[np.int64]) -> list[int]:
+    """0, and where chunks end that begin there, of messages that end at these places."""
+    found = [0]
+    while found[-1] < ends[-1]:
+        last = np.searchsorted(ends, found[-1] + _CHUNK, side="right")
+        found.append(int(ends[min(last, len(ends) - 1)]))
+    return found
 
 
-def _fields(
-    topic: str, columns: Mapping[str, Sequence[str]], table: Table
-) -> tuple[dict[str, Array], dict[str, dict[str, Any]]]:
-    """Values of each field from its columns, and where each column stands."""
-    values = {f: np.column_stack([table[name] for name in named]) for f, named in columns.items()}
-    where = {
-        name: {"topic": topic, "field": field, "at": i}
-        for field, named in columns.items()
-        for i, name in enumerate(named)
-    }
-    return values, where
+def _within(
+    index: Mapping[int, NDArray[np.int64]], begin: int, end: int
+) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """Channels and entries of the messages of a chunk."""
+    for channel, entries in index.items():
+        first, last = np.searchsorted(entries[:, 1], (begin, end))
+        if last > first:
+            yield channel, entries[first:last] - (0, begin)
 
 
-def _columns(quantity: str | Mapping[str, str], table: Table) -> Mapping[str, str]:
-    """Name on the topic -> column."""
-    if not isinstance(quantity, str):
-        return quantity
-    end = f".{quantity}"
-    return {name.removesuffix(end): name for name in table if name.endswith(end)}
-
-
-def _multi_array(
-    topic: str, fields: Mapping[str, Any], table: Table
-) -> tuple[Stream, dict[str, dict[str, Any]]] | None:
-    names = fields["data"]
-    if not all(_is_plain(table, name) for name in names):
-        return None
-    values = np.column_stack([table[name] for name in names])
-    where = {name: {"topic": topic, "field": "data", "at": i} for i, name in enumerate(names)}
-    return Stream(topic, MULTI_ARRAY, (), {"data": values}), where
-
-
-def _odometry(
-    topic: str, body: str, table: Table
-) -> tuple[Stream, dict[str, dict[str, Any]]] | None:
-    columns = {field: names_of(body, words) for field, words in BODY_FIELDS.items()}
-    if not all(_is_plain(table, name) for names in columns.values() for name in names):
-        return None
-    values, where = _fields(topic, columns, table)
-    frames = tuple(table.column(names[0]).frame for names in columns.values())
-    return Stream(topic, ODOMETRY, frames, values), where
-
-
-def _rest(
-    topic: str, columns: list[Column], rows: int
-) -> tuple[Stream, dict[str, dict[str, Any]]]:
-    where: dict[str, dict[str, Any]] = {}
-    labels: list[str] = []
-    for name, values, *_ in columns:
-        shape = values.shape[1:]
-        where[name] = {"topic": topic, "field": "data", "at": len(labels)}
-        where[name] |= {"shape": shape, "dtype": values.dtype.str}
-        places = [f"[{','.join(map(str, at))}]" for at in np.ndindex(shape)] if shape else [""]
-        labels += [f"{name}{place}" for place in places]
-    flat = [
-        values.reshape(rows, int(np.prod(values.shape[1:]))).astype(np.float64)
-        for _, values, *_ in columns
-    ]
-    data = np.hstack([np.zeros((rows, 0)), *flat])
-    return Stream(topic, MULTI_ARRAY, tuple(labels), {"data": data}), where
-
-
-def _is_plain(table: Table, name: str) -> bool:
-    return name in table and table[name].ndim == 1 and table[name].dtype == np.float64
+def _write_chunk(
+    storage: McapWriter, data: NDArray[np.uint8], index: Sequence[tuple[int, NDArray[np.int64]]]
+) -> None:
+    """Write a chunk and the indices of its messages, as `McapWriter.close_chunk`."""
+    bio, begin = storage.bio, storage.bio.tell()
+    times = np.concatenate([entries[:, 0] for _, entries in index])
+    span = struct.pack("<QQ", int(times.min()), int(times.max()))
+    packing = struct.pack("<I", 0)  # no compression
+    size = struct.pack("<Q", len(data))
+    head = span + size + struct.pack("<I", 0) + packing + size
+    bio.write(struct.pack("<BQ", 0x06, len(head) + len(data)) + head)
+    bio.write(data.data)
+    end, offsets = bio.tell(), b""
+    for channel, entries in index:
+        offsets += struct.pack("<HQ", channel, bio.tell())
+        content = entries.astype("<u8").tobytes()
+        own = struct.pack("<HI", channel, len(content)) + content
+        bio.write(struct.pack("<BQ", MESSAGE_INDEX, len(own)) + own)
+    about = BytesIO()
+    about.write(span + struct.pack("<QQI", begin, end - begin, len(offsets)) + offsets)
+    about.write(struct.pack("<Q", bio.tell() - end) + packing + size + size)
+    storage.chunks.append(about)

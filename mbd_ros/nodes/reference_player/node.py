@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags.bags import raw_messages, topic_types
+from mbd_ros.files.bags.bag_reader import raw_messages, topic_types
 from mbd_ros.methods.control.contract import ControlledJoints
 from mbd_ros.nodes.shell.parameters import Parameter, ParameterError
 from mbd_ros.nodes.shell.shell import Shell

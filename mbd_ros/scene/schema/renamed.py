@@ -28,7 +28,7 @@ RENAMED: Mapping[str, Mapping[str, str]] = {  # kind -> old name -> new name
         "mbd_ros.core.system": "mbd_ros.core.dynamics.system",
         "mbd_ros.core.tiers": "mbd_ros.core.dynamics.tiers",
         "mbd_ros.core.wrenches": "mbd_ros.core.loads.external_loads",
-        "mbd_ros.bags": "mbd_ros.files.bags.bags",
+        "mbd_ros.bags": "mbd_ros.files.bags.bag_reader",
         "mbd_ros.recordings": "mbd_ros.motion.recordings",
         "mbd_ros.tables": "mbd_ros.files.tables.csv",
     },

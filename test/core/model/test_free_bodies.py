@@ -15,7 +15,8 @@ from simulator_plant import plant
 from mbd_ros.errors import DataError
 from mbd_ros.features.inverse_dynamics.job import inverse
 from mbd_ros.features.simulation.job import simulate
-from mbd_ros.files.bags.bags import BagWriter, messages, topic_types
+from mbd_ros.files.bags.bag_reader import messages, topic_types
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.nodes.inverse_dynamics.pipeline import MOST, WholeSamples
 from mbd_ros.scene.reader import load_scene

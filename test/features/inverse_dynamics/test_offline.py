@@ -9,7 +9,8 @@ from offline import SCENES
 from mbd_ros.core.loads.external_loads import WrenchBuffer
 from mbd_ros.errors import DataError
 from mbd_ros.features.inverse_dynamics.job import inverse_to
-from mbd_ros.files.bags.bags import BagWriter, new_message
+from mbd_ros.files.bags.bag_types import new_message
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning
 from mbd_ros.motion.derivatives import Derivatives

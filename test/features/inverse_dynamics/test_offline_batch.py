@@ -5,7 +5,8 @@ import pytest
 from places import ROOT
 
 from mbd_ros.cli import main
-from mbd_ros.files.bags.bags import BagWriter, new_message
+from mbd_ros.files.bags.bag_types import new_message
+from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.tables.csv import write_table
 from msg_adapters.joint_state import write_joint_state
 

@@ -10,7 +10,7 @@ from places import ROOT
 from mbd_ros.cli import main
 from mbd_ros.core.state import Motion
 from mbd_ros.errors import DataError, SolveError
-from mbd_ros.files.bags.bags import messages
+from mbd_ros.files.bags.bag_reader import messages
 from mbd_ros.files.recording import Recording
 from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning

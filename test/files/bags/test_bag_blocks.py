@@ -14,10 +14,10 @@ from mbd_ros.errors import DataError
 from mbd_ros.features.inverse_dynamics import streamed
 from mbd_ros.features.inverse_dynamics.job import inverse_to, run_inverse
 from mbd_ros.files.bags.bag import Bag
+from mbd_ros.files.bags.bag_reader import messages, raw_messages
 from mbd_ros.files.bags.bag_recordings import Wanted, bag_motion
-from mbd_ros.files.bags.bag_types import TYPES, to_cdr
-from mbd_ros.files.bags.bag_writer import Rows
-from mbd_ros.files.bags.bags import BagWriter, messages, new_message, raw_messages
+from mbd_ros.files.bags.bag_types import TYPES, new_message, to_cdr
+from mbd_ros.files.bags.bag_writer import BagWriter, Rows
 from mbd_ros.methods.inverse_dynamics.torque_estimator import TorqueEstimator, Tuning
 from mbd_ros.methods.signals.differentiation import LowPass
 from mbd_ros.motion.derivatives import Derivatives

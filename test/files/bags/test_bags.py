@@ -11,9 +11,9 @@ import pytest
 import yaml
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags.bag_recordings import raw_blocks
-from mbd_ros.files.bags.bag_writer import Rows
-from mbd_ros.files.bags.bags import BagWriter, messages, new_message, raw_messages, topic_types
+from mbd_ros.files.bags.bag_reader import messages, raw_blocks, raw_messages, topic_types
+from mbd_ros.files.bags.bag_types import new_message
+from mbd_ros.files.bags.bag_writer import BagWriter, Rows
 from msg_adapters.joint_state import write_joint_state
 
 JOINT_STATE = "sensor_msgs/msg/JointState"
