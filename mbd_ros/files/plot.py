@@ -34,15 +34,11 @@ class Plot:
     one_table = True
 
     def holds(self, column: Column) -> bool:
-        """Always; what is no number is not drawn."""
+        """Whether it can be written: what is no number is not drawn."""
         return True
 
     def read(self, path: Path) -> Result:
-        """Refused.
-
-        Raises:
-            DataError: Always.
-        """
+        """Refuse to read a picture."""
         raise DataError(f"{path}: a picture, which is only written; results are read from others")
 
     def write(self, path: Path, result: Result, columns: Sequence[str] | None = None) -> None:

@@ -78,8 +78,8 @@ def labels_of(path: Path, line: bytes, number: int) -> list[str]:
 
     Args:
         path: File, for the messages.
-        line: The line.
-        number: Its number.
+        line: The header line.
+        number: Of the line in the file, for the messages.
 
     Raises:
         DataError: It is no text, or a label is empty.
@@ -105,7 +105,7 @@ def numbers_of(path: Path, lines: Iterator[bytes], labels: Sequence[str], first:
         path: File, for the messages.
         lines: Its lines from number `first` on.
         labels: Of the columns.
-        first: See `lines`.
+        first: Number of the first of these lines in the file.
 
     Returns:
         Shape (n, len(labels)).
@@ -150,13 +150,7 @@ def _is_plain(value: float, cell: bytes) -> bool:
 
 
 def cell_number(path: Path, label: str, cell: bytes, number: int) -> float:
-    """The number of a cell, which may be nan.
-
-    Args:
-        path: File, for the messages.
-        label: Of the column.
-        cell: Its text.
-        number: Of the line.
+    """The number of a cell, which may be nan; path, label and number of the line are for messages.
 
     Raises:
         DataError: It is no finite number, nor nan.

@@ -9,14 +9,13 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
-from mbd_ros.files.laboratory.markers import GROUND, MARKERS, RATE, SCREEN
+from mbd_ros.files.laboratory.markers import GROUND, MARKERS, METRES, RATE, SCREEN
 from mbd_ros.files.laboratory.trc import Trc
 from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
 from mbd_ros.files.text_file import reading
 
 PLATES = "wrenches"  # table of the force plates
-_METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 _NO_MARKERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")  # modelled, among the points
 _MAGIC = 0x50  # second byte
 _CENTRED = 1  # type of plates that give their centre of pressure
@@ -116,9 +115,9 @@ def _times(whole: Any, kind: str, count: int) -> Column:
 
 
 def _metres(path: Path, unit: str) -> float:
-    if unit.strip().lower() not in _METRES:
-        raise DataError(f"{path}: POINT:UNITS '{unit}', accepted: {', '.join(_METRES)}")
-    return _METRES[unit.strip().lower()]
+    if unit.strip().lower() not in METRES:
+        raise DataError(f"{path}: POINT:UNITS '{unit}', accepted: {', '.join(METRES)}")
+    return METRES[unit.strip().lower()]
 
 
 def _markers(path: Path, whole: Any) -> Table:

@@ -12,11 +12,11 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
+from mbd_ros.files.laboratory.markers import GROUND
 from mbd_ros.files.laboratory.storage import REMARKS, REPEATED
 from mbd_ros.files.table import MAIN, TIME, Result, Table, motion_stamps, read_result
 from mbd_ros.files.text_file import reading
 
-GROUND = "ground"
 _LARGEST = 16_000_000  # bytes
 _NOTHING = ("", "unassigned")
 _FARTHEST = 100.0  # m from the origin, beyond which a point can only be in mm

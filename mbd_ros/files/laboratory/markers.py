@@ -12,6 +12,7 @@ from mbd_ros.files.table import MAIN, Result, motion_stamps, read_result
 
 GROUND = "ground"  # frame of markers and plates
 MARKERS, RATE = "markers", "rate"  # metadata: labels, and frames a second [Hz]
+METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}  # of a unit of files
 SCREEN = "screen"  # metadata: axes to the right and upwards on a screen, as +X, +Z
 
 

@@ -12,12 +12,11 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.files.laboratory.markers import GROUND, MARKERS, RATE
+from mbd_ros.files.laboratory.markers import GROUND, MARKERS, METRES, RATE
 from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
 from mbd_ros.files.text_file import MAX_CELLS, Lines, cell_number, check_times, reading
 
-_UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001}  # -> m
 _HEADER = 5  # lines
 _AXES = "XYZ"
 _MOST = 3_000  # markers
@@ -71,9 +70,9 @@ class Trc:
             DataError: No time, another unit, or a place that cannot be written to.
         """
         ((name, table),) = result.tables.items()
-        if TIME not in table or unit not in _UNITS:
+        if TIME not in table or unit not in METRES:
             raise DataError(
-                f"{path}: expected a column time, and the unit {', '.join(_UNITS)}, not '{unit}'"
+                f"{path}: expected a column time, and the unit {', '.join(METRES)}, not '{unit}'"
             )
         labels = [label for label in table if label not in (TIME, STAMP)]
         times = table[TIME]
@@ -82,7 +81,7 @@ class Trc:
         with replacing(path) as file:
             file.write(_head(name, labels, len(times), float(rate), unit).encode())
             for i, time in enumerate(times.tolist()):
-                cells = [repr(v) for n in labels for v in (table[n][i] / _UNITS[unit]).tolist()]
+                cells = [repr(v) for n in labels for v in (table[n][i] / METRES[unit]).tolist()]
                 cells = ["" if cell == "nan" else cell for cell in cells]
                 file.write(("\t".join([str(i + 1), repr(time), *cells]) + "\n").encode())
 
@@ -130,9 +129,9 @@ def _whole(path: Path, keys: Mapping[str, str], key: str) -> int:
 
 def _scale(path: Path, keys: Mapping[str, str]) -> float:
     unit = _value(path, keys, "Units")
-    if unit.lower() not in _UNITS:
-        raise DataError(f"{path}: line 3: Units '{unit}', accepted: {', '.join(_UNITS)}")
-    return _UNITS[unit.lower()]
+    if unit.lower() not in METRES:
+        raise DataError(f"{path}: line 3: Units '{unit}', accepted: {', '.join(METRES)}")
+    return METRES[unit.lower()]
 
 
 def _labels(path: Path, line: bytes, keys: Mapping[str, str]) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ import itertools
 import math
 import re
 from array import array
-from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -15,7 +14,7 @@ from numpy.typing import NDArray
 from mbd_ros.errors import DataError
 from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, RUN, STAMP, TIME, Column, Result, Table
-from mbd_ros.files.text_file import MAX_CELLS, MAX_COLUMNS, Lines, reading
+from mbd_ros.files.text_file import MAX_CELLS, MAX_COLUMNS, Lines, reading, repeated_among
 
 NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 # Besides digits only the letters of "nan" pass: float() would take inf, 1_000 and foreign digits.
@@ -37,7 +36,7 @@ class Csv:
         return values.dtype.kind != "f" or not np.isinf(values).any()
 
     def read(self, path: Path, nan_allowed: Callable[[str], bool] = lambda column: True) -> Result:
-        """See `read_table`; nan is accepted where nothing else is said."""
+        """Read a table; nan is accepted where `nan_allowed` does not refuse it by column."""
         read = read_table(path, nan_allowed)
         pairs = zip(read.columns, read.values.T, strict=True)
         return Result({MAIN: Table(Column(name, values) for name, values in pairs)})
@@ -94,7 +93,7 @@ def read_table(
         lines = Lines(path, file)
         columns = _columns(path, next(lines, b""), has_times)
         has_times = columns[0] == TIME
-        may_lack = np.array([(nan_allowed or _never)(name) for name in columns])
+        may_lack = np.array([bool(nan_allowed and nan_allowed(name)) for name in columns])
         blocks: list[NDArray[np.float64]] = []
         count, last = 0, -math.inf
         rows = max(1, min(BLOCK, BLOCK_CELLS // len(columns)))
@@ -111,10 +110,6 @@ def read_table(
     return Numbers(path, columns, np.concatenate(blocks))
 
 
-def _never(column: str) -> bool:
-    return False
-
-
 def _columns(path: Path, header: bytes, has_times: bool) -> tuple[str, ...]:
     begin = " that begins with time" if has_times else ""
     if not header.strip():
@@ -129,8 +124,7 @@ def _columns(path: Path, header: bytes, has_times: bool) -> tuple[str, ...]:
         raise DataError(f"{path}: {len(columns)} columns, accepted are {MAX_COLUMNS}")
     if "" in columns:
         raise DataError(f"{path}: line 1: column {columns.index('') + 1} has no name")
-    repeated = sorted(name for name, count in Counter(columns).items() if count > 1)
-    if repeated:
+    if repeated := repeated_among(columns):
         raise DataError(f"{path}: line 1 repeats column {', '.join(repeated)}")
     return tuple(columns)
 

@@ -27,15 +27,11 @@ class Npz:
     one_table = False
 
     def holds(self, column: Column) -> bool:
-        """Always."""
+        """Whether it can be written: everything can."""
         return True
 
     def write(self, path: Path, result: Result) -> None:
-        """Write all tables; equal results give equal files.
-
-        Raises:
-            DataError: Tables and columns whose names meet, or a place that cannot be written to.
-        """
+        """Write all tables; equal results give equal files."""
         arrays: dict[str, Any] = {
             _DESCRIPTION: np.frombuffer(describe(result).encode(), dtype=np.uint8)
         }

@@ -31,15 +31,11 @@ class Parquet:
         self._arrow, self._storage = pyarrow, pyarrow.parquet
 
     def holds(self, column: Column) -> bool:
-        """Always."""
+        """Whether it can be written: everything can."""
         return True
 
     def write(self, path: Path, result: Result) -> None:
-        """Write a table.
-
-        Raises:
-            DataError: A place that cannot be written to.
-        """
+        """Write a table."""
         arrow, storage = self._arrow, self._storage
         ((name, table),) = result.tables.items()
         arrays = [_packed(arrow, column.values) for column in table.columns]
