@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.symbols.curved import CurvedChart
+from mbd_ros.compiled.symbols.charts import CurvedChart
 from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.implicit import residual
 from mbd_ros.compiled.symbols.rows import Rows

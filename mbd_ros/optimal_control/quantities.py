@@ -332,9 +332,9 @@ def stops(phase: PhaseEquations) -> list[Quantity]:
     e = phase.equations
     rows = e.system.multiplier_rows
     try:
-        gaps = e.yielding.gaps()
+        gaps = e.unilateral.gaps()
     except Untraceable as error:
-        names = ", ".join(rows[slot].name for slot in e.yielding.slots)
+        names = ", ".join(rows[slot].name for slot in e.unilateral.slots)
         raise ModelError(
             f"{names}: {error}; accepted: forces that are smooth, such as joint_friction"
         ) from error
@@ -370,7 +370,7 @@ def multiplier_names(e: Any) -> list[str]:
     rigid = e.system.held.constraints.blocks
     found = [row.name for block in rigid for row in block.rows]
     every = [row.name for row in e.system.multiplier_rows]
-    return found + [every[slot] for slot in e.yielding.slots[: len(e.acting.J) - len(found)]]
+    return found + [every[slot] for slot in e.unilateral.slots[: len(e.acting.J) - len(found)]]
 
 
 def _places(symbols: Any) -> dict[int, int]:

@@ -10,34 +10,27 @@ Source: J. Carpentier, N. Mansard, Analytical derivatives of rigid body dynamics
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import casadi as ca
 
+from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.scalar import scalars
+from mbd_ros.compiled.symbols.tree.dynamics import TreeDynamics
 from mbd_ros.compiled.symbols.tree.link_rotations import ZERO
 from mbd_ros.compiled.symbols.tree.moving_tree import rotation_of
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 
-if TYPE_CHECKING:
-    from mbd_ros.compiled.symbols.equations import Equations
-    from mbd_ros.compiled.symbols.tree.dynamics import TreeDynamics
-
-
-# ---- implicit ---------------------------------------------------------------------------------
-# Equations of motion in implicit form, and derivatives of accelerations that follow from it.
-
-
 _BASE_V = 6
-MOST = 100_000  # operations: more of them gain nothing over differences
+_MOST = 100_000  # operations: more of them gain nothing over differences
 _BY = "qvzup"
 
 
 def residual(
-    equations: "Equations",
+    equations: Equations,
     a: Sequence[Any],
     lam: Sequence[Any],
-    dynamics: "TreeDynamics | None" = None,
+    dynamics: TreeDynamics | None = None,
 ) -> Any:
     """The r, a column of size nv + the number of rows that act.
 
@@ -60,15 +53,15 @@ def residual(
     return ca.vertcat(*left, *ends)
 
 
-def derivatives(equations: "Equations") -> list[Any]:
+def derivatives(equations: Equations) -> list[Any]:
     """Of accelerations and rates by q, v, z, u and p, each of shape (nv + nz, ..)."""
     solution, nv, m = equations.chosen[1], equations.nv, len(equations.acting.J)
     columns = sum(equations.symbols[letter].shape[0] for letter in _BY)
     count = 8 * columns * nv  # at least, before any is made
-    held = None if count > MOST else equations.beside(equations.acting)
+    held = None if count > _MOST else equations.beside(equations.acting)
     count = count if held is None else held.size * columns
-    if held is None or count > MOST:
-        raise Untraceable(f"its derivatives take some {count} operations, accepted are {MOST}")
+    if held is None or count > _MOST:
+        raise Untraceable(f"its derivatives take some {count} operations, accepted are {_MOST}")
     a, lam = ca.SX.sym("a", nv), ca.SX.sym("lam", m)
     r = residual(equations, scalars(a), scalars(lam))
     found = []
@@ -90,7 +83,7 @@ def _solved(held: Any, slope: Any, nv: int, m: int) -> Any:
     return ca.vertcat(*solved.a)
 
 
-def in_tangent(equations: "Equations", letter: str, slopes: Any) -> Any:
+def in_tangent(equations: Equations, letter: str, slopes: Any) -> Any:
     """Slopes by steps in the tangent of q; those by anything else as they are."""
     model = equations.system.chart.model
     if letter != "q" or model.nq == model.nv:
@@ -112,7 +105,23 @@ def _square(rows: Any) -> Any:
     return ca.vertcat(*(ca.horzcat(*row) for row in rows))
 
 
-def energy(equations: "Equations") -> list[Any]:
+def balance(equations: Equations) -> list[Any]:
+    """The residual force tau - h - M a + J' lam, shape (nv,), and rates of internal states."""
+    a, lam = (scalars(equations.symbols[key]) for key in "al")
+    return [-residual(equations, a, lam)[: equations.nv], equations.rates]
+
+
+def balance_slopes(equations: Equations) -> list[Any]:
+    """Slopes of `balance`, stacked, by steps of q, by v and by z, each of shape (nv + nz, ..)."""
+    both = ca.vertcat(*balance(equations))
+    found = []
+    for letter in "qvz":
+        by = ca.jacobian(both, equations.symbols[letter])
+        found.append(in_tangent(equations, letter, by))
+    return found
+
+
+def energy(equations: Equations) -> list[Any]:
     """Kinetic and potential energy [J]."""
     tree, k = equations.tree, equations.k
     kinetic, potential = ZERO, ca.SX(-float(tree.gravity @ tree.ground.h))
@@ -125,23 +134,3 @@ def energy(equations: "Equations") -> list[Any]:
         for g, one in zip(tree.gravity.tolist(), moment, strict=True):
             potential -= g * one
     return [kinetic, potential]
-
-
-# ---- balance ----------------------------------------------------------------------------------
-# The force that lacks for the equation of motion as expressions, and its slopes.
-
-
-def balance(equations: "Equations") -> list[Any]:
-    """The force tau - h - M a + J' lam, shape (nv,), and the rates of the internal states."""
-    a, lam = (scalars(equations.symbols[key]) for key in "al")
-    return [-residual(equations, a, lam)[: equations.nv], equations.rates]
-
-
-def slopes(equations: "Equations") -> list[Any]:
-    """Of both, stacked, by steps of q, by v and by z, each of shape (nv + nz, ..)."""
-    both = ca.vertcat(*balance(equations))
-    found = []
-    for letter in "qvz":
-        by = ca.jacobian(both, equations.symbols[letter])
-        found.append(in_tangent(equations, letter, by))
-    return found

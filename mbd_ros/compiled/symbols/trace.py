@@ -6,14 +6,13 @@ from typing import Any
 import casadi as ca
 
 from mbd_ros.compiled.symbols import implicit
-from mbd_ros.compiled.symbols import implicit as balance
-from mbd_ros.compiled.symbols.equations import Equations, Made
-from mbd_ros.compiled.symbols.mode_switches import SwitchedRows
-from mbd_ros.compiled.symbols.motion import health
+from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
 from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
+from mbd_ros.compiled.symbols.symbolic_system import Made
 from mbd_ros.compiled.symbols.tree.link_rotations import ZERO
+from mbd_ros.compiled.symbols.unilateral_rows import SwitchedRows
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.core.contact_modes.row_distances import Reach
 from mbd_ros.core.contracts import Now
@@ -39,7 +38,7 @@ class Answers:
         """Accelerations, rates of internal states, health; multipliers if rows switch."""
         e = self._equations
         solution = e.chosen[1]
-        found = [e.speeding(solution.a), e.rates, health(e, solution, switches=True)]
+        found = [e.speeding(solution.a), e.rates, e.health(solution, has_switches=True)]
         return [*found, ca.vertcat(*solution.lam)] if e.switches else found
 
     def multipliers(self) -> list[Any]:
@@ -50,7 +49,7 @@ class Answers:
         rigid = solution.lam[: e.mh]
         couplings = getattr(e.system.coordinates, "couplings", None)
         if couplings is not None:
-            on = e.yielding.pushes(
+            on = e.unilateral.pushes(
                 [lam if not way else ZERO for lam, way in zip(yielding, e.x.mode, strict=False)]
             )
             parts = zip(dynamics.needed(a), e.tau, on, strict=True)
@@ -59,7 +58,7 @@ class Answers:
             rigid = scalars(column(couplings.reduce(needed, slopes)[1]))
         blocks = (block.slots for block in e.system.layout.rigid)
         places = [slot for slots in blocks for slot in range(slots.start, slots.stop)]
-        for slot, one in zip((*places, *e.yielding.slots), (*rigid, *yielding), strict=True):
+        for slot, one in zip((*places, *e.unilateral.slots), (*rigid, *yielding), strict=True):
             lam[slot] = one
         return [ca.vertcat(*a), ca.vertcat(*lam)]
 
@@ -67,7 +66,7 @@ class Answers:
         """Margins of the mode, then the values of the guards of parts."""
         e = self._equations
         a, lam = e.solved
-        margins = e.yielding.margins(a, lam, e.velocity)
+        margins = e.unilateral.margins(a, lam, e.velocity)
         return [ca.vertcat(*margins.values(), *self._part_guards())]
 
     def heights(self) -> list[Any]:
@@ -115,7 +114,7 @@ class Answers:
 
     @property
     def _switched(self) -> SwitchedRows:
-        rows = self._equations.yielding
+        rows = self._equations.unilateral
         if not isinstance(rows, SwitchedRows):
             raise Untraceable("rows that give way are looked at where all modes are traced")
         return rows
@@ -141,7 +140,7 @@ class Answers:
         e = self._equations
         rows = e.held.of(Level.POSITION)
         solution = e.beside(rows).solve([ZERO] * e.nv, [-g for g in rows.g])
-        return [e.moving(solution.a), ca.vertcat(*rows.g), health(e, solution)]
+        return [e.moving(solution.a), ca.vertcat(*rows.g), e.health(solution)]
 
     def settle(self) -> list[Any]:
         """What leads velocities onto the rows, and the rates that are left."""
@@ -163,7 +162,7 @@ class Answers:
         ones = [[ca.SX(float(i == j)) for i in range(e.mg)] for j in range(e.mg)]
         solutions = [held.solve(zero, one) for one in ones]
         columns = [ca.vertcat(*one.a) for one in solutions]
-        share = health(e, solutions[0]) if solutions else ca.SX(1.0)
+        share = e.health(solutions[0]) if solutions else ca.SX(1.0)
         return [ca.horzcat(*columns) if columns else ca.SX(e.nv, 0), share]
 
     def path_places(self) -> list[Any]:
@@ -192,11 +191,11 @@ class Answers:
 
     def balance(self) -> list[Any]:
         """The force that lacks for given accelerations and multipliers, and rates."""
-        return balance.balance(self._equations)
+        return implicit.balance(self._equations)
 
     def balance_slopes(self) -> list[Any]:
         """Slopes of the balance and of rates by q, v and z."""
-        return balance.slopes(self._equations)
+        return implicit.balance_slopes(self._equations)
 
     def energy(self) -> list[Any]:
         """Kinetic and potential energy [J]."""
@@ -306,7 +305,7 @@ class Traced:
     @property
     def keys(self) -> dict[tuple[int, int], int]:
         """Margins in all modes: row and way -> place among those of `heights`, then `answers`."""
-        return getattr(self.equations.yielding, "keys", {})
+        return getattr(self.equations.unilateral, "keys", {})
 
     @property
     def searched(self) -> SearchedPaths:

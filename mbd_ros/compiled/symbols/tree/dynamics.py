@@ -7,8 +7,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.symbols.rows import Entries
-from mbd_ros.compiled.symbols.sparse_ldl import solved
+from mbd_ros.compiled.symbols.sparse_ldl import Entries, solved
 from mbd_ros.compiled.symbols.tree import link_rotations as turns
 from mbd_ros.compiled.symbols.tree.link_rotations import (
     NO_VECTOR,

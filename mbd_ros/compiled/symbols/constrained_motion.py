@@ -1,0 +1,173 @@
+"""Accelerations and multipliers of masses beside rows: M a - D' lam = f, J a + s lam = b.
+
+A rigid row has s = 0, one that is off has J = 0 and s = 1, and D = J unless friction of a contact
+pushes along with its normal. Rows of contacts may depend on one another: a small softness is added
+to their s then, and what it leaves of J a + s lam - b is solved for again.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import casadi as ca
+
+from mbd_ros.compiled.symbols.rows import Rows
+from mbd_ros.compiled.symbols.sparse_ldl import Entries, SparseLdl, order_of
+from mbd_ros.compiled.symbols.tree.link_rotations import ZERO
+
+SOFT = 1.0e-9  # of the usual size of a row: what is added to it where rows may be dependent
+_AGAIN = 2  # solutions for what that leaves
+_SHRUNK = 1.0e-4  # of what softness left: more is left where dependent rows contradict
+_OPEN = 1.0e-13  # of 1 + the largest rate: rounding
+_IDLE = 1.0e-11  # of multipliers that change no rate: what they may move
+_ANY = 1.0e-6  # of a start, squared: what is left of it where multipliers change no rate
+Pushes = Mapping[int, Mapping[int, Any]]
+NO_PUSHES: Pushes = {}
+
+
+class Solution(NamedTuple):
+    """What holds at a state.
+
+    Attributes:
+        a: Accelerations of what is integrated, SX scalars.
+        lam: Multipliers of the rows, SX scalars.
+        pivots: What rows leave of themselves: -(J M^-1 J') without those before, SX scalars.
+        sound: Positive where rows that may depend on one another are solved; no SX without any.
+    """
+
+    a: list[Any]
+    lam: list[Any]
+    pivots: list[Any]
+    sound: Any = None
+
+
+class ConstrainedMotion:
+    """Masses beside rows, factorised.
+
+    Args:
+        mass: The lower triangle of M, SX scalars.
+        rows: The rows.
+        nv: Size of a velocity.
+        slack: The s of each row, SX scalars; none where nothing is given.
+        pushes: The D of rows by their numbers, where it is not J.
+        soft: What is added to each s, so that rows may depend on one another, for `balanced`.
+    """
+
+    def __init__(
+        self,
+        mass: Entries,
+        rows: Rows,
+        nv: int,
+        slack: Sequence[Any] = (),
+        pushes: Pushes = NO_PUSHES,
+        soft: Sequence[float] = (),
+    ) -> None:
+        self._nv, self._m, self._rows, self._mass = nv, len(rows.J), rows, mass
+        self._slack = list(slack) or [ZERO] * self._m
+        self._soft = list(soft) or [0.0] * self._m
+        entries = dict(mass)
+        for i, row in enumerate(rows.J):
+            entries.update({(nv + i, j): value for j, value in row.items()})
+            entries[nv + i, nv + i] = -(self._slack[i] + self._soft[i])
+        upper = {(nv + i, j): one for i, push in pushes.items() for j, one in push.items()}
+        edges = [at for at, value in (entries | upper).items() if not value.is_zero()]
+        self._groups = [
+            ([j for j in one if j < nv], [i - nv for i in one if i >= nv])
+            for one in groups_of(edges, nv + self._m)
+        ]
+        waits = {i: {*row, *pushes.get(i - nv, ())} for i, row in enumerate(rows.J, nv)}
+        order = order_of(edges, nv + self._m, waits)
+        self._factors = SparseLdl(entries, order, upper)
+
+    @property
+    def size(self) -> int:
+        """Operations of a solution, about."""
+        return self._factors.size
+
+    @property
+    def pivots(self) -> list[Any]:
+        """As those of a `Solution`."""
+        return [-self._factors.pivots[i] for i in range(self._nv, self._nv + self._m)]
+
+    def solve(self, forces: Sequence[Any], rates: Sequence[Any]) -> Solution:
+        """Accelerations and multipliers for f and b."""
+        x = self._factors.solve([*map(ca.SX, forces), *rates])
+        return Solution(x[: self._nv], [-one for one in x[self._nv :]], self.pivots)
+
+    def balanced(self, forces: Sequence[Any], rates: Sequence[Any]) -> Solution:
+        """The same where rows may depend on one another: the least multipliers of those that do.
+
+        What softness leaves of rates is solved for again. Multipliers that change no rate may move
+        bodies by different slips; they are left out of those of each group of bodies, where all
+        others are multiples of one. It is sound if nothing is left of rates then, and if no other
+        ones move anything.
+        """
+        found, still = self.solve(forces, rates), [ZERO] * self._nv
+        least = largest(self._left(found, rates))
+        for _ in range(_AGAIN):
+            more = self.solve(still, self._left(found, rates))
+            pairs = zip(found[:2], more[:2], strict=True)
+            a, lam = ([x + y for x, y in zip(*pair, strict=True)] for pair in pairs)
+            found = found._replace(a=a, lam=lam)
+        idle = self._idle(0)
+        found = self._without(found, idle)
+        most = _SHRUNK * least + _OPEN * (1.0 + largest(rates))
+        is_open = largest(self._left(found, rates)) > most
+        rest = self._without(self._idle(self._m), idle)
+        moves = self._energy(rest.a) > _IDLE * _IDLE / SOFT * sum(self._soft)
+        return found._replace(sound=ca.logic_not(ca.logic_or(is_open, moves)))
+
+    def _idle(self, start: int) -> Solution:
+        """Some multipliers that change no rate; next to none where rows are independent."""
+        still, lam = [ZERO] * self._nv, [ca.SX(math.cos(1.0 + start + i)) for i in range(self._m)]
+        for _ in range(2):  # leaves of any multipliers those that change no rate
+            found = self.solve(still, [x * y for x, y in zip(self._soft, lam, strict=True)])
+            lam = found.lam
+        return found
+
+    def _without(self, found: Solution, idle: Solution) -> Solution:
+        """The part of a solution across idle multipliers, in each group of bodies."""
+        a, lam = list(found.a), list(found.lam)
+        for joints, rows in self._groups:
+            counted = [i for i in rows if not self._slack[i].is_zero()]  # rigid ones are not
+            size = sum((idle.lam[i] * idle.lam[i] for i in counted), ZERO)
+            along = sum((idle.lam[i] * lam[i] for i in counted), ZERO)
+            share = ca.if_else(size > _ANY, along / ca.fmax(size, _ANY), 0.0)
+            for i in rows:
+                lam[i] = lam[i] - share * idle.lam[i]
+            for j in joints:
+                a[j] = a[j] - share * idle.a[j]
+        return found._replace(a=a, lam=lam)
+
+    def _left(self, found: Solution, rates: Sequence[Any]) -> list[Any]:
+        """What is left of b."""
+        each = zip(self._rows.J, self._slack, found.lam, rates, strict=True)
+        return [
+            rate - slack * lam - sum((one * found.a[j] for j, one in row.items()), ZERO)
+            for row, slack, lam, rate in each
+        ]
+
+    def _energy(self, a: Sequence[Any]) -> Any:
+        """Twice the kinetic energy of velocities a."""
+        return sum(
+            ((2.0 if i != j else 1.0) * a[i] * one * a[j] for (i, j), one in self._mass.items()),
+            ZERO,
+        )
+
+
+def groups_of(edges: Iterable[tuple[int, int]], size: int) -> list[list[int]]:
+    """Numbers below a size that edges join."""
+    group = list(range(size))
+    for i, j in edges:
+        one, other = group[i], group[j]
+        if one != other:
+            group = [one if each == other else each for each in group]
+    return [[i for i in range(size) if group[i] == one] for one in sorted(set(group))]
+
+
+def largest(values: Sequence[Any]) -> Any:
+    """The largest size among SX scalars, 0 where there are none."""
+    found = ZERO
+    for value in values:
+        found = ca.fmax(found, ca.fabs(value))
+    return found

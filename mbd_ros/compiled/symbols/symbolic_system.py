@@ -1,0 +1,218 @@
+"""A system at symbolic time, state, inputs and parameters: what its equations are made of."""
+
+from collections.abc import Callable, Mapping, Sequence
+from functools import cached_property
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from mbd_ros.compiled.symbols.charts import CurvedChart, WorldAxes, WorldChart
+from mbd_ros.compiled.symbols.kinematics import SymbolicKinematics
+from mbd_ros.compiled.symbols.scalar import Scalar, column, numbers, plain, scalars
+from mbd_ros.compiled.symbols.sparse_ldl import Entries
+from mbd_ros.compiled.symbols.tree.links import Tree, tree_of, with_armature
+from mbd_ros.compiled.symbols.untraceable import tracing
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.rows.constraint_rows import RowBlock
+from mbd_ros.core.state import Mode, State
+
+Made = Callable[[Mapping[str, Any]], Mapping[str, Any]]  # numbers by name -> parts by name
+
+
+class SymbolicSystem:
+    """A system whose time, state, inputs and parameters are symbols.
+
+    Args:
+        system: The system.
+        parameters: Names of numbers that stay symbols.
+        mode: Of unilateral rows; None for all modes at once, which stand behind the parameters.
+        made: Makes parts of symbols, by name.
+        in_world: Whether velocities of free bodies stand in the axes of the world.
+
+    Attributes:
+        symbols: Argument -> its symbols, by letter.
+        tree: The links of all joints.
+        coordinates: All joints from what is integrated.
+        k: Kinematics of symbols.
+        x: State of all joints.
+        switches: How many entries of a mode stand behind the parameters.
+        axes: Of free bodies whose velocities stand in those of the world; None without any.
+
+    Raises:
+        Untraceable: Names the part and why.
+    """
+
+    def __init__(
+        self,
+        system: System,
+        parameters: tuple[str, ...],
+        mode: Mode | None,
+        made: Made,
+        *,
+        in_world: bool = False,
+    ) -> None:
+        self.system, self.parameters, self.tier = system, parameters, system.tier
+        self.switches = len(system.exact.names) if mode is None and system.exact else 0
+        p = ca.SX.sym("p", len(parameters) + self.switches)
+        self._symbolic = parts_of(made, parameters, p[: len(parameters)])
+        self.tree = self._moved(tree_of(system.model))
+        self.nq, self.nv, self.nz = system.nq, system.nv, system.internals.nz
+        self.nu, self.m = len(system.loads.idle), len(system.multiplier_rows)
+        self.mg, self.mh = len(system.rows), len(system.held.rows)
+        sizes = {"t": 1, "q": self.nq, "v": self.nv, "z": self.nz, "u": self.nu}
+        sizes |= {"d": self.nv, "a": self.nv}
+        self.symbols: dict[str, Any] = {name: ca.SX.sym(name, n) for name, n in sizes.items()}
+        self.symbols["p"] = p
+        t, q, v, z, self.u = (numbers(self.symbols[name]) for name in "tqvzu")
+        self.axes = WorldAxes(system.chart.model, scalars(self.symbols["q"])) if in_world else None
+        if self.axes is not None:
+            v = numbers(ca.vertcat(*self.axes.in_own_axes(scalars(self.symbols["v"]))))
+        couplings = getattr(system.coordinates, "couplings", None)
+        with tracing(couplings):
+            self.coordinates = Coordinates(couplings, self.tree.nq, self.tree.nv, q, v)
+        c, internals = self.coordinates, system.internals
+        self.k = SymbolicKinematics(system.robot, self.tree, c.q, c.v)
+        inside = self.k.within(z, internals.lower, internals.upper)
+        self.x = State(t[0], c.q, c.v, inside, mode or ())
+
+    def own(self, part: Any) -> Any:
+        """The part with symbols for its parameters; itself where it has none."""
+        return self._symbolic.get(part.name, part)
+
+    @cached_property
+    def loads(self) -> list[Any]:
+        """Actuators, then forces."""
+        return [self.own(one) for one in (*self.system.loads.actuators, *self.system.loads.forces)]
+
+    def blocks(self, given: Sequence[RowBlock]) -> list[RowBlock]:
+        """Blocks of rows, with symbols for the parameters of their parts."""
+        return [with_part(block, self.own(block.part)) for block in given]
+
+    def _moved(self, tree: Tree) -> Tree:
+        """The tree with what parameters change of the inertia of drives."""
+        changed = [one for one in self.system.loads.actuators if one.name in self._symbolic]
+        armature: Any = self.system.model.armature.astype(object)
+        for one in changed:
+            with tracing(one):
+                armature = armature + (self.own(one).armature() - one.armature())
+        return with_armature(tree, [plain(each) for each in armature]) if changed else tree
+
+    @cached_property
+    def chart(self) -> CurvedChart:
+        """The chart of what is integrated."""
+        return (WorldChart if self.axes else CurvedChart)(self.system.chart.model)
+
+    def moving(self, way: Sequence[Any]) -> Any:
+        """A small motion of what is integrated, or a change of its velocity, a column."""
+        return ca.vertcat(*(self.axes.in_world(way) if self.axes else way))
+
+    def speeding(self, a: Sequence[Any]) -> Any:
+        """Rates of the velocities that are integrated, a column."""
+        v = scalars(self.symbols["v"])
+        return ca.vertcat(*(self.axes.rate(a, v) if self.axes else a))
+
+    @property
+    def column_of_velocity(self) -> Any:
+        """Velocity of all joints."""
+        return column(self.coordinates.v)
+
+    @property
+    def velocity(self) -> list[Any]:
+        """Of all joints, SX scalars."""
+        return scalars(self.column_of_velocity)
+
+
+def parts_of(made: Made, parameters: Sequence[str], p: Any) -> Mapping[str, Any]:
+    """Parts of symbols by name; none without parameters."""
+    if not parameters:
+        return {}
+    given = dict(zip(parameters, numbers(p), strict=True))
+    with tracing(", ".join(parameters)):
+        return made(given)
+
+
+def with_part(block: RowBlock, part: Any) -> RowBlock:
+    """A block of rows of another part of the same form."""
+    if part is block.part:
+        return block
+    given: Any = (np.asarray(one, dtype=object) for one in part.gains)
+    gains = tuple(np.broadcast_to(one, len(block.rows)) for one in given)
+    if not any(map(np.any, block.gains)):  # rows that are on exactly
+        gains = block.gains
+    return block._replace(part=part, law=part.law, gains=gains)
+
+
+class Coordinates:
+    """Positions and velocities of all joints: q = F(y), v = G y', a = G y'' + drift.
+
+    Every joint follows one coordinate, so G has one entry a row.
+
+    Args:
+        couplings: Dependent joints, which are eliminated; None where all joints are integrated.
+        nq: Size of a configuration of all joints.
+        nv: Size of a velocity of all joints.
+        q: Configuration of what is integrated, an array of numbers.
+        v: Its velocity.
+
+    Attributes:
+        q: Of all joints, an array of objects.
+        v: The same.
+        drift: The same.
+    """
+
+    def __init__(self, couplings: Couplings | None, nq: int, nv: int, q: Any, v: Any) -> None:
+        self.q, self.v, self.drift = (np.zeros(n, dtype=object) for n in (nq, nv, nv))
+        self.drift.fill(0.0)
+        self._column, self._slope = list(range(nv)), [1.0] * nv
+        self.nv = len(v)
+        if couplings is None:
+            self.q[:], self.v[:] = q, v
+            return
+        self.q[couplings.q_index], self.v[couplings.v_index] = q, v
+        for i, at in enumerate(couplings.v_index.tolist()):
+            self._column[at] = i
+        for child_q, child_v, parent_q, parent_v, function in couplings.pairs:
+            rate = self.v[parent_v]
+            self.q[child_q], slope, curvature = function(self.q[parent_q])
+            self.v[child_v] = slope * rate
+            self.drift[child_v] = slope * self.drift[parent_v] + curvature * rate * rate
+            self._column[child_v] = self._column[parent_v]
+            self._slope[child_v] = slope * self._slope[parent_v]
+
+    def reduced(self, tau: Any) -> list[Any]:
+        """G' tau, from SX scalars to SX scalars."""
+        found: list[Any] = [0.0] * self.nv
+        for force, i, slope in zip(tau, self._column, self._slope, strict=True):
+            found[i] = found[i] + plain(slope) * force
+        return found
+
+    def reduced_row(self, row: dict[int, Any]) -> dict[int, Any]:
+        """The row J G of a row of J: entries by velocity."""
+        found: dict[int, Any] = {}
+        for j, value in row.items():
+            column, share = self._column[j], plain(self._slope[j]) * value
+            found[column] = found[column] + share if column in found else share
+        return found
+
+    def reduced_matrix(self, M: Entries) -> Entries:
+        """G' M G, of lower triangles of SX scalars."""
+        found: Entries = {}
+        for (i, j), value in M.items():
+            I, J = self._column[i], self._column[j]  # noqa: E741
+            at = max(I, J), min(I, J)
+            twice = 2.0 if i != j and I == J else 1.0
+            share = plain(self._slope[i] * self._slope[j]) * twice * value
+            found[at] = found[at] + share if at in found else share
+        return found
+
+    def lifted(self, a: Any) -> list[Any]:
+        """G y'' + drift: accelerations of all joints, SX scalars or floats."""
+        pairs = zip(self._column, self._slope, self.drift, strict=True)
+        return [plain(slope) * a[column] + plain(drift) for column, slope, drift in pairs]
+
+    @property
+    def moves_on(self) -> bool:
+        """Whether a drift exists: a coupling bends."""
+        return any(isinstance(one, Scalar) or one != 0.0 for one in self.drift)
