@@ -166,7 +166,7 @@ class ResetLinkage:
         self._is_limited, self.count = False, sizes.nv + self._impulses
 
     def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
-        """As `Linkage.blocks`."""
+        """Blocks of rows, and the number after their own unknowns, which begin with `first`."""
         before, after = (every[i] for i in self._numbers)
         nodes = np.array([before.mesh.intervals])
         ends = self._before.forms.node_places(before, nodes)
@@ -181,13 +181,13 @@ class ResetLinkage:
         return found, end
 
     def limited(self) -> "ResetLinkage":
-        """As `Linkage.limited`."""
+        """With what impulses have to keep among the rows."""
         found = copy(self)
         found._is_limited = True
         return found
 
     def keeps_limits(self, own: Array) -> bool:
-        """As `Linkage.keeps_limits`."""
+        """Whether its own unknowns keep that."""
         if self._is_limited:
             return True
         p = own[self._before.equations.sizes.nv :]
@@ -245,18 +245,18 @@ class EqualEnds:
         self._form = last.forms.node_form(ca.vertcat(*rows), more=ca.vertcat(*taken))
 
     def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
-        """As `Linkage.blocks`."""
+        """Blocks of rows, and the number after their own unknowns, which begin with `first`."""
         last = every[-1]
         ends = self._last.forms.node_places(last, np.array([last.mesh.intervals]))
         places = np.vstack((ends, every[0].state[0][:, None]))
         return [Block(PERIODIC, self._form, places, _ENDS)], first
 
     def limited(self) -> "EqualEnds":
-        """As `Linkage.limited`."""
+        """With what impulses have to keep among the rows."""
         return self
 
     def keeps_limits(self, own: Array) -> bool:
-        """As `Linkage.keeps_limits`."""
+        """Whether its own unknowns keep that."""
         return True
 
 

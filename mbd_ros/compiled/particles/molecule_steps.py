@@ -48,7 +48,7 @@ class CompiledTriangles(KindSteps):
         self._move.restype = self._finish.restype = None
 
     def move(self, x: Array, v: Array, force: Array | None, kick: float, h: float) -> Array:
-        """As `KindSteps.move`."""
+        """Kicks the velocities, which are written; the places they lead to, on the rows."""
         moved, force = np.empty_like(x), _dense(force)
         lanes = x.shape[2]
         self._move(*map(_at, (x, v, force)), kick, h, _at(moved), lanes)
@@ -59,7 +59,7 @@ class CompiledTriangles(KindSteps):
         return moved
 
     def finish(self, x: Array, v: Array, force: Array | None, kick: float) -> None:
-        """As `KindSteps.finish`."""
+        """Kicks the velocities and moves them onto the rows; v is written."""
         force = _dense(force)
         self._finish(*map(_at, (x, v, force)), kick, x.shape[2])
 

@@ -97,14 +97,14 @@ class EventStepper(EventSteps, BlockStepper):
         return self._last
 
     def begin_samples(self, y: State, sample: int, *, is_within: bool) -> None:
-        """As `BlockStepper.begin_samples`."""
+        """Say where the samples go on."""
         if self._last is None:
             self._last = y
         self._native.enter(y)
         self._run.begin_samples(sample, is_within=is_within)
 
     def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
-        """As `BlockStepper.samples`."""
+        """The samples after the newest one."""
         if self.is_within:
             before = self._within_plain_step(times, most)
             if len(before) == most:
@@ -189,7 +189,7 @@ class EventStepper(EventSteps, BlockStepper):
         return {**super().memory(), "last": last, "is_behind": self._is_behind}
 
     def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
+        """Go on as after the step at which a memory was taken, with the same bits."""
         super().recall(memory, x)
         self._is_behind, self._is_new = memory["is_behind"], False
 

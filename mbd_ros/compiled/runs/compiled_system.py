@@ -30,7 +30,7 @@ class CompiledBalance:
         self._nq, self._nv, self._size = system.system.nq, system.system.nv, size
 
     def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:
-        """As `Balance.force`."""
+        """The f, shape (nv,)."""
         self._call(self._force, t, q, v, u, a, lam)
         force, rates = self._force.results
         if self._size == self._nv:
@@ -40,7 +40,7 @@ class CompiledBalance:
     def slopes(
         self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array
     ) -> tuple[Array, Array]:
-        """As `Balance.slopes`."""
+        """Of f by steps in the tangent of q and by v, each of shape (nv, nv)."""
         self._call(self._slopes, t, q, v, u, a, lam)
         n, size = self._nv, self._size
         by_q, by_v = np.zeros((2, size, size))
@@ -103,7 +103,7 @@ class CompiledSystem:
         return self.system.evaluations + self.calls
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """As `System.accelerator`."""
+        """The function of t, q, v, u that writes y'' in a mode, shape (nv,)."""
         if mode:
             return self.system.accelerator(mode)
         return self._accelerate_with_rates if self._has_internals else self._accelerate

@@ -379,7 +379,7 @@ class RunMemory:
 
     @property
     def pace(self) -> tuple[float, ...]:
-        """As `Stepper.pace`."""
+        """Length of the next step [s] and last error, where the method chooses its steps."""
         return tuple(self._numbers[self._at[Field.LENGTH] :][:2].tolist())
 
     @pace.setter

@@ -66,12 +66,12 @@ class NativeStepper(BlockStepper):
         return self._last
 
     def begin_samples(self, y: State, sample: int, *, is_within: bool) -> None:
-        """As `BlockStepper.begin_samples`."""
+        """Say where the samples go on."""
         self.enter(y)
         self._run.begin_samples(sample, is_within=is_within)
 
     def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
-        """As `BlockStepper.samples`."""
+        """The samples after the newest one."""
         self._last, self._is_plain = None, False
         rows, status = self._run.samples(times, held, steps, most)
         return SampleBlock(rows, self._run.interval, status not in _WENT_ON)
@@ -79,7 +79,7 @@ class NativeStepper(BlockStepper):
     def whole(
         self, y: State, first: Array, times: Any, held: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
-        """As `BlockStepper.whole`."""
+        """What takes a run from its start to its end at once, again and again."""
         take = self._run.whole(y, first, times, held, steps)
 
         def taken() -> Array | None:
@@ -146,7 +146,7 @@ class NativeStepper(BlockStepper):
         return {**kept, **rest, "plain": self._plain.memory() if self._has_plain else None}
 
     def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
+        """Go on as after the step at which a memory was taken, with the same bits."""
         self._run.recall(memory["run"])
         self._plain.restart()
         self._has_plain = memory["plain"] is not None
@@ -157,7 +157,7 @@ class NativeStepper(BlockStepper):
         self._last = x if is_same(memory["last"], x) else memory["last"]
 
     def again(self, h: float, t: float) -> State:
-        """As `Stepper.again`."""
+        """The last step taken again from its start, with the order of the method."""
         if self._is_plain:
             after = self._plain.again(h, t)
             self._run.load(after)
@@ -253,7 +253,7 @@ class ModeStepper(NativeStepper):
         self._last = None
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
-        """As `Stepper.step`."""
+        """Advance by one step."""
         pace = self.run.pace
         if self.is_compiled:
             self.enter(x)
@@ -283,7 +283,7 @@ class ModeStepper(NativeStepper):
         return after
 
     def again(self, h: float, t: float) -> State:
-        """As `Stepper.again`."""
+        """The last step taken again from its start, with the order of the method."""
         if self._is_plain:
             return self._plain.again(h, t)
         after, status = self.run.again(h, t)
@@ -330,7 +330,7 @@ class ModeStepper(NativeStepper):
         return None if math.isnan(h) else (h, row)
 
     def continue_from(self, x: State) -> None:
-        """As `Stepper.continue_from`."""
+        """Go on from a state that stabilization has made of the last one, history kept."""
         if self._is_plain:
             self._plain.continue_from(x)
         else:

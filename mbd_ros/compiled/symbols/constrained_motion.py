@@ -5,6 +5,8 @@ pushes along with its normal. Rows of contacts may depend on one another: a smal
 to their s then, and what it leaves of J a + s lam - b is solved for again.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -23,22 +25,6 @@ _IDLE = 1.0e-11  # of multipliers that change no rate: what they may move
 _ANY = 1.0e-6  # of a start, squared: what is left of it where multipliers change no rate
 Pushes = Mapping[int, Mapping[int, Any]]
 NO_PUSHES: Pushes = {}
-
-
-class Solution(NamedTuple):
-    """What holds at a state.
-
-    Attributes:
-        a: Accelerations of what is integrated, SX scalars.
-        lam: Multipliers of the rows, SX scalars.
-        pivots: What rows leave of themselves: -(J M^-1 J') without those before, SX scalars.
-        sound: Positive where rows that may depend on one another are solved; no SX without any.
-    """
-
-    a: list[Any]
-    lam: list[Any]
-    pivots: list[Any]
-    sound: Any = None
 
 
 class ConstrainedMotion:
@@ -171,3 +157,19 @@ def largest(values: Sequence[Any]) -> Any:
     for value in values:
         found = ca.fmax(found, ca.fabs(value))
     return found
+
+
+class Solution(NamedTuple):
+    """What holds at a state.
+
+    Attributes:
+        a: Accelerations of what is integrated, SX scalars.
+        lam: Multipliers of the rows, SX scalars.
+        pivots: What rows leave of themselves: -(J M^-1 J') without those before, SX scalars.
+        sound: Positive where rows that may depend on one another are solved; no SX without any.
+    """
+
+    a: list[Any]
+    lam: list[Any]
+    pivots: list[Any]
+    sound: Any = None

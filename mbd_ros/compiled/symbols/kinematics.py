@@ -1,5 +1,7 @@
 """Kinematics k of symbols: what parts ask of the mechanism while they are traced."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from functools import cached_property
@@ -16,7 +18,6 @@ from mbd_ros.compiled.symbols.scalar import (
     numbers,
     objects,
     plain,
-    vector,
     where,
 )
 from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
@@ -29,35 +30,238 @@ from mbd_ros.core.kinematics.relative_motion import OfPose, Pose
 from mbd_ros.core.model.points import Pair, Point
 from mbd_ros.core.model.robot import Robot
 
-# ---- pair motion ------------------------------------------------------------------------------
-# Motion of a point seen from another body, in symbols.
+
+class SymbolicKinematics:
+    """Answers as `Kinematics` does, in arrays of numbers that may be `Scalar`.
+
+    Args:
+        robot: The robot.
+        tree: Its links.
+        q: Configuration of all joints, an array of objects.
+        v: Velocity, the same.
+    """
+
+    item = staticmethod(np.ndarray.item)
+    dot: Callable[..., Any] = staticmethod(np.ndarray.dot)
+    array: Callable[..., Any] = staticmethod(np.array)
+    where = staticmethod(where)
+    sqrt = staticmethod(function(ca.sqrt, math.sqrt))
+    exp = staticmethod(function(ca.exp, math.exp))
+    log = staticmethod(function(ca.log, math.log))
+    tanh = staticmethod(function(ca.tanh, math.tanh))
+    sin = staticmethod(function(ca.sin, math.sin))
+    cos = staticmethod(function(ca.cos, math.cos))
+    maximum = staticmethod(function(ca.fmax, max))
+    minimum = staticmethod(function(ca.fmin, min))
+    copysign = staticmethod(function(ca.copysign, math.copysign))
+    arctan2 = staticmethod(function(ca.atan2, math.atan2))
+
+    def __init__(self, robot: Robot, tree: Tree, q: Any, v: Any) -> None:
+        self._robot, self._tree = robot, tree
+        self._q, self._v = ([ca.SX(plain(one)) for one in given] for given in (q, v))
+        self.frames = WorldFrames(tree, self._q, self._v)
+        self._pairs: dict[int, SymbolicPairMotion] = {}
+        self.searches = SearchedPaths()
+
+    def position(self, point: Point) -> Any:
+        """Where a point is, less `Robot.origin` [m], shape (3,)."""
+        return objects(self.frames.from_link(WORLD, *self.held(point)))
+
+    def rotation(self, point: Point) -> Any:
+        """From the axes of a point to those of the world, shape (3, 3)."""
+        return matrix(self.axes(point))
+
+    def velocity(self, point: Point) -> Any:
+        """Velocity of a point [m/s], shape (3,)."""
+        link, offset = self.held(point)
+        moving = self.frames.motion(link)
+        return objects(turns.plus(moving.velocity, turns.cross(moving.spin, offset)))
+
+    def acceleration(self, point: Point) -> Any:
+        """Second derivative of a position at zero joint acceleration [m/s^2], shape (3,)."""
+        link, offset = self.held(point)
+        moving = self.frames.motion(link)
+        bent = turns.through(turns.bend(moving.spin, moving.turning), offset)
+        return objects(turns.plus(moving.acceleration, bent))
+
+    def jacobian(self, point: Point) -> Any:
+        """From joint velocities to that of a point, shape (3, nv)."""
+        return self.spatial_jacobian(point)[:3].copy()
+
+    def spatial_jacobian(self, point: Point) -> Any:
+        """From joint velocities to velocity and angular velocity of a point, shape (6, nv)."""
+        return self._columns(point, lambda v: v)
+
+    def own_jacobian(self, point: Point) -> Any:
+        """The `spatial_jacobian` in the axes of the point, shape (6, nv)."""
+        to_own = turns.transposed(self.axes(point))
+        return self._columns(point, lambda v: turns.through(to_own, v))
+
+    def motion(self, pair: Pair) -> SymbolicPairMotion:
+        """Motion of b as an observer on a sees it."""
+        if pair.number not in self._pairs:
+            self._pairs[pair.number] = SymbolicPairMotion(self, pair)
+        return self._pairs[pair.number]
+
+    def carried(self, wrench: Any, a: Point, b: Point) -> Any:
+        """A wrench about a in the axes of a, as one about b in the axes of b, shape (6,)."""
+        given = [ca.SX(plain(one)) for one in wrench]
+        R, to_b = self.axes(a), turns.transposed(self.axes(b))
+        force, torque = (turns.through(R, tuple(part)) for part in (given[:3], given[3:]))
+        about = turns.plus(torque, turns.cross(self.between(b, a), force))
+        return np.concatenate([objects(turns.through(to_b, part)) for part in (force, about)])
+
+    def gravity(self, q: Any) -> Any:
+        """Generalized force that holds the robot still, shape (nv,)."""
+        at = [ca.SX(plain(one)) for one in q]
+        placed, still = in_own_axes(self._tree, at), [ZERO] * self._tree.nv
+        on_links = needed(self._tree, placed, still, None, turns.vector(-self._tree.gravity))
+        return objects(joint_forces(self._tree, placed, on_links))
+
+    def searched(self, path: Any, x: Any) -> Any:
+        """What a path finds by a search at a state, which is left to native code."""
+        return self.searches.taut(path, self, x)
+
+    @cached_property
+    def nv(self) -> int:
+        """Size of a velocity."""
+        return self._tree.nv
+
+    def held(self, point: Point) -> tuple[int, Vector]:
+        """The link that holds a point, and where from its origin, in axes of the world."""
+        link, place = self._seen(point)
+        axes = self.frames.axes(link)
+        return link, turns.through(axes, turns.vector(place.translation))
+
+    def place_of(self, link: int) -> tuple[Vector, Vector]:
+        """Where the origin of a link is, and mass times mass centre from there, world axes."""
+        frames, h = self.frames, self._tree.links[link].inertia.h
+        moment = turns.through(frames.axes(link), turns.vector(h))
+        return frames.from_link(WORLD, link, turns.NO_VECTOR), moment
+
+    def axes(self, point: Point) -> Matrix:
+        """From the axes of a point to those of the world."""
+        link, place = self._seen(point)
+        rows, columns = self.frames.axes(link), turns.transposed(turns.matrix(place.rotation))
+        return tuple(  # type: ignore[return-value]
+            tuple(turns.dot(row, column) for column in columns) for row in rows
+        )
+
+    def between(self, a: Point, b: Point) -> Vector:
+        """From point a to point b, in axes of the world."""
+        held_a, held_b = self.held(a), self.held(b)
+        below = self.frames.common(held_a[0], held_b[0])
+        ends = (self.frames.from_link(below, *held) for held in (held_b, held_a))
+        return turns.minus(*ends)
+
+    def _seen(self, point: Point) -> tuple[int, Any]:
+        joint, at = self._robot.places.points[point.number]
+        if joint == 0:
+            return WORLD, at
+        return joint - 1, self._tree.links[joint - 1].seat.actInv(at)
+
+    def _columns(self, point: Point, seen: Callable[[Vector], Vector]) -> Any:
+        whole = self.zeros((6, self._tree.nv))
+        for link, lever in self.frames.levers(*self.held(point)):
+            first = self.frames.link(link).v
+            for i, parts in enumerate(self.frames.columns(link, lever), first):
+                whole[:3, i], whole[3:, i] = (objects(seen(part)) for part in parts)
+        return whole
+
+    @staticmethod
+    def zeros(shape: Any) -> Any:
+        """As numpy's, and open to symbols."""
+        found = np.empty(shape, dtype=object)
+        found.fill(0.0)
+        return found
+
+    @classmethod
+    def within(cls, values: Any, lower: Any, upper: Any) -> Any:
+        """As `Kinematics.within`; bounds may be one a value."""
+        found = values.copy()
+        bounds = (np.broadcast_to(one, found.shape).tolist() for one in (lower, upper))
+        for i, (low, high) in enumerate(zip(*bounds, strict=True)):
+            found[i] = found[i] if _is_open(low) else cls.maximum(found[i], low)
+            found[i] = found[i] if _is_open(high) else cls.minimum(found[i], high)
+        return found
+
+    @classmethod
+    def choose(cls, least: Any, most: Any, first: Any, second: Any) -> Any:
+        """Entry by entry the first value where `least` is not above `most`, else the second."""
+        columns = (cls.spread(one, len(least)) for one in (least, most, first, second))
+        chosen = [where(a <= b, one, other) for a, b, one, other in zip(*columns, strict=True)]
+        return np.array(chosen, dtype=object)
+
+    @staticmethod
+    def spread(value: Any, count: int) -> list[Any]:
+        """One number, or one each, as a list."""
+        given = np.asarray(value, dtype=object)
+        return np.broadcast_to(given, count).tolist()
+
+    @staticmethod
+    def row(one: Any) -> Any:
+        """A vector as the only row of a matrix, shape (1, n)."""
+        return one.reshape(1, -1)
+
+    @staticmethod
+    def any(values: Any) -> bool:
+        """Whether a value is not zero; where nobody can know, it may be so."""
+        return any(isinstance(one, Scalar) or one != 0.0 for one in values.tolist())
+
+    @staticmethod
+    def hypot(line: Any) -> Any:
+        """Length of a vector."""
+        return SymbolicKinematics.sqrt(line.dot(line))
+
+    @staticmethod
+    def piece(x: Any, breaks: Sequence[Any], rows: Sequence[Sequence[Any]]) -> Sequence[Any]:
+        """The row of the interval that x is in; at a break that of the interval after it."""
+        chosen = list(rows[0])
+        for left, row in zip(breaks, rows[1:], strict=True):
+            after = x >= left
+            chosen = [where(after, new, old) for new, old in zip(row, chosen, strict=True)]
+        return chosen
+
+    @staticmethod
+    def either(condition: Any, first: Callable[[], Any], second: Callable[[], Any]) -> Any:
+        """Both where nobody knows which; of tuples entry by entry."""
+        if not isinstance(condition, Scalar):
+            return first() if condition else second()
+        one, other = first(), second()
+        if not isinstance(one, tuple):
+            return where(condition, one, other)
+        return tuple(where(condition, *both) for both in zip(one, other, strict=True))
+
+
+def _is_open(bound: Any) -> bool:
+    return not isinstance(bound, Scalar) and math.isinf(bound)
 
 
 class SymbolicPairMotion:
-    """Answers as `PairMotion` does; whatever the placements, they are found again.
+    """Motion of b as an observer on a sees it; answers as `PairMotion` does.
 
     Args:
         k: Kinematics of symbols.
         pair: The observer a and what is observed, b.
     """
 
-    def __init__(self, k: "SymbolicKinematics", pair: Pair) -> None:
+    def __init__(self, k: SymbolicKinematics, pair: Pair) -> None:
         self._k, self._pair = k, pair
         self._to_a = turns.transposed(k.axes(pair.a))
 
     def offset(self) -> Any:
-        """As `PairMotion.offset`."""
+        """Origin of b, from that of a [m], shape (3,)."""
         between = self._k.between(self._pair.a, self._pair.b)
-        return vector(turns.through(self._to_a, between))
+        return objects(turns.through(self._to_a, between))
 
     def rotation(self) -> Any:
-        """As `PairMotion.rotation`."""
+        """From the axes of b to those of a, shape (3, 3)."""
         columns = turns.transposed(self._k.axes(self._pair.b))
         turned = [turns.through(self._to_a, column) for column in columns]
         return matrix(turns.transposed(tuple(turned)))  # type: ignore[arg-type]
 
     def pose(self) -> Any:
-        """As `PairMotion.pose`."""
+        """Rotation and origin of b in the axes of a."""
         return Pose(self.rotation(), self.offset())
 
     def placed(self) -> Any:
@@ -69,7 +273,7 @@ class SymbolicPairMotion:
         return self
 
     def jacobian(self, placed: Any, rows: Any) -> Any:
-        """As `PairMotion.jacobian`."""
+        """From joint velocities to rows of the velocity, shape (m, nv)."""
         k, (_, a, b, signs) = self._k, self._pair
         frames, whole = k.frames, k.zeros((6, k.nv))
         (on_a, _), (on_b, offset) = k.held(a), k.held(b)
@@ -84,22 +288,22 @@ class SymbolicPairMotion:
         for link, lever in levers:
             first = frames.link(link).v
             for i, parts in enumerate(frames.columns(link, lever), first):
-                seen = [vector(turns.through(self._to_a, part)) for part in parts]
+                seen = [objects(turns.through(self._to_a, part)) for part in parts]
                 whole[:, i] = np.concatenate(seen) * float(signs[i])
         return whole[rows]
 
     def acceleration(self, placed: Any) -> Any:
-        """As `PairMotion.acceleration`."""
+        """Second derivative of the offset at zero joint acceleration, shape (3,)."""
         return self.motion(placed)[0]
 
     def motion(self, placed: Any) -> tuple[Any, Any, Any]:
-        """As `PairMotion.motion`."""
+        """Acceleration of the offset, angular velocity and its derivative, shape (3,) each."""
         _, a, omega, alpha = self.moving(placed)
         return a, omega, alpha
 
     def moving(self, placed: Any) -> tuple[Any, Any, Any, Any]:
-        """As `PairMotion.moving`."""
-        seen = (vector(turns.through(self._to_a, part)) for part in self._relative())
+        """The velocity of the origin of b, then what `motion` gives, shape (3,) each."""
+        seen = (objects(turns.through(self._to_a, part)) for part in self._relative())
         v, a, omega, alpha = seen
         return v, a, omega, alpha
 
@@ -151,213 +355,3 @@ def _velocity(moving: Any, offset: Vector) -> Vector:
 def _acceleration(moving: Any, offset: Vector) -> Vector:
     bent = turns.through(turns.bend(moving.spin, moving.turning), offset)
     return plus(moving.acceleration, bent)
-
-
-# ---- kinematics -------------------------------------------------------------------------------
-# Kinematics k of symbols: what parts ask of the mechanism while they are traced.
-
-
-class SymbolicKinematics:
-    """Answers as `Kinematics` does, in arrays of numbers that may be `Scalar`.
-
-    Args:
-        robot: The robot.
-        tree: Its links.
-        q: Configuration of all joints, an array of objects.
-        v: Velocity, the same.
-    """
-
-    item = staticmethod(np.ndarray.item)
-    dot: Callable[..., Any] = staticmethod(np.ndarray.dot)
-    array: Callable[..., Any] = staticmethod(np.array)
-    where = staticmethod(where)
-    sqrt = staticmethod(function(ca.sqrt, math.sqrt))
-    exp = staticmethod(function(ca.exp, math.exp))
-    log = staticmethod(function(ca.log, math.log))
-    tanh = staticmethod(function(ca.tanh, math.tanh))
-    sin = staticmethod(function(ca.sin, math.sin))
-    cos = staticmethod(function(ca.cos, math.cos))
-    maximum = staticmethod(function(ca.fmax, max))
-    minimum = staticmethod(function(ca.fmin, min))
-    copysign = staticmethod(function(ca.copysign, math.copysign))
-    arctan2 = staticmethod(function(ca.atan2, math.atan2))
-
-    def __init__(self, robot: Robot, tree: Tree, q: Any, v: Any) -> None:
-        self._robot, self._tree = robot, tree
-        self._q, self._v = ([ca.SX(plain(one)) for one in given] for given in (q, v))
-        self.frames = WorldFrames(tree, self._q, self._v)
-        self._pairs: dict[int, SymbolicPairMotion] = {}
-        self.searches = SearchedPaths()
-
-    def position(self, point: Point) -> Any:
-        """As `Kinematics.position`."""
-        return vector(self.frames.from_link(WORLD, *self.held(point)))
-
-    def rotation(self, point: Point) -> Any:
-        """As `Kinematics.rotation`."""
-        return matrix(self.axes(point))
-
-    def velocity(self, point: Point) -> Any:
-        """As `Kinematics.velocity`."""
-        link, offset = self.held(point)
-        moving = self.frames.motion(link)
-        return vector(turns.plus(moving.velocity, turns.cross(moving.spin, offset)))
-
-    def acceleration(self, point: Point) -> Any:
-        """As `Kinematics.acceleration`."""
-        link, offset = self.held(point)
-        moving = self.frames.motion(link)
-        bent = turns.through(turns.bend(moving.spin, moving.turning), offset)
-        return vector(turns.plus(moving.acceleration, bent))
-
-    def jacobian(self, point: Point) -> Any:
-        """As `Kinematics.jacobian`."""
-        return self.spatial_jacobian(point)[:3].copy()
-
-    def spatial_jacobian(self, point: Point) -> Any:
-        """As `Kinematics.spatial_jacobian`."""
-        return self._columns(point, lambda v: v)
-
-    def own_jacobian(self, point: Point) -> Any:
-        """As `Kinematics.own_jacobian`."""
-        to_own = turns.transposed(self.axes(point))
-        return self._columns(point, lambda v: turns.through(to_own, v))
-
-    def motion(self, pair: Pair) -> SymbolicPairMotion:
-        """As `Kinematics.motion`."""
-        if pair.number not in self._pairs:
-            self._pairs[pair.number] = SymbolicPairMotion(self, pair)
-        return self._pairs[pair.number]
-
-    def carried(self, wrench: Any, a: Point, b: Point) -> Any:
-        """As `Kinematics.carried`."""
-        given = [ca.SX(plain(one)) for one in wrench]
-        R, to_b = self.axes(a), turns.transposed(self.axes(b))
-        force, torque = (turns.through(R, tuple(part)) for part in (given[:3], given[3:]))
-        about = turns.plus(torque, turns.cross(self.between(b, a), force))
-        return np.concatenate([vector(turns.through(to_b, part)) for part in (force, about)])
-
-    def gravity(self, q: Any) -> Any:
-        """As `Kinematics.gravity`."""
-        at = [ca.SX(plain(one)) for one in q]
-        placed, still = in_own_axes(self._tree, at), [ZERO] * self._tree.nv
-        on_links = needed(self._tree, placed, still, None, turns.vector(-self._tree.gravity))
-        return objects(joint_forces(self._tree, placed, on_links))
-
-    def searched(self, path: Any, x: Any) -> Any:
-        """As `Kinematics.searched`."""
-        return self.searches.taut(path, self, x)
-
-    @cached_property
-    def nv(self) -> int:
-        """Size of a velocity."""
-        return self._tree.nv
-
-    def held(self, point: Point) -> tuple[int, Vector]:
-        """The link that holds a point, and where from its origin, in axes of the world."""
-        link, place = self._seen(point)
-        axes = self.frames.axes(link)
-        return link, turns.through(axes, turns.vector(place.translation))
-
-    def place_of(self, link: int) -> tuple[Vector, Vector]:
-        """Where the origin of a link is, and mass times mass centre from there, world axes."""
-        frames, h = self.frames, self._tree.links[link].inertia.h
-        moment = turns.through(frames.axes(link), turns.vector(h))
-        return frames.from_link(WORLD, link, turns.NO_VECTOR), moment
-
-    def axes(self, point: Point) -> Matrix:
-        """From the axes of a point to those of the world."""
-        link, place = self._seen(point)
-        rows, columns = self.frames.axes(link), turns.transposed(turns.matrix(place.rotation))
-        return tuple(  # type: ignore[return-value]
-            tuple(turns.dot(row, column) for column in columns) for row in rows
-        )
-
-    def between(self, a: Point, b: Point) -> Vector:
-        """From point a to point b, in axes of the world."""
-        held_a, held_b = self.held(a), self.held(b)
-        below = self.frames.common(held_a[0], held_b[0])
-        ends = (self.frames.from_link(below, *held) for held in (held_b, held_a))
-        return turns.minus(*ends)
-
-    def _seen(self, point: Point) -> tuple[int, Any]:
-        joint, at = self._robot.places.points[point.number]
-        if joint == 0:
-            return WORLD, at
-        return joint - 1, self._tree.links[joint - 1].seat.actInv(at)
-
-    def _columns(self, point: Point, seen: Callable[[Vector], Vector]) -> Any:
-        whole = self.zeros((6, self._tree.nv))
-        for link, lever in self.frames.levers(*self.held(point)):
-            first = self.frames.link(link).v
-            for i, parts in enumerate(self.frames.columns(link, lever), first):
-                whole[:3, i], whole[3:, i] = (vector(seen(part)) for part in parts)
-        return whole
-
-    @staticmethod
-    def zeros(shape: Any) -> Any:
-        """As numpy's, and open to symbols."""
-        found = np.empty(shape, dtype=object)
-        found.fill(0.0)
-        return found
-
-    @classmethod
-    def within(cls, values: Any, lower: Any, upper: Any) -> Any:
-        """As `Kinematics.within`; bounds may be one a value."""
-        found = values.copy()
-        bounds = (np.broadcast_to(one, found.shape).tolist() for one in (lower, upper))
-        for i, (low, high) in enumerate(zip(*bounds, strict=True)):
-            found[i] = found[i] if _is_open(low) else cls.maximum(found[i], low)
-            found[i] = found[i] if _is_open(high) else cls.minimum(found[i], high)
-        return found
-
-    @classmethod
-    def choose(cls, least: Any, most: Any, first: Any, second: Any) -> Any:
-        """As `Kinematics.choose`."""
-        columns = (cls.spread(one, len(least)) for one in (least, most, first, second))
-        chosen = [where(a <= b, one, other) for a, b, one, other in zip(*columns, strict=True)]
-        return np.array(chosen, dtype=object)
-
-    @staticmethod
-    def spread(value: Any, count: int) -> list[Any]:
-        """One number, or one each, as a list."""
-        given = np.asarray(value, dtype=object)
-        return np.broadcast_to(given, count).tolist()
-
-    @staticmethod
-    def row(one: Any) -> Any:
-        """As `Kinematics.row`."""
-        return one.reshape(1, -1)
-
-    @staticmethod
-    def any(values: Any) -> bool:
-        """As `Kinematics.any`."""
-        return any(isinstance(one, Scalar) or one != 0.0 for one in values.tolist())
-
-    @staticmethod
-    def hypot(line: Any) -> Any:
-        """Length of a vector."""
-        return SymbolicKinematics.sqrt(line.dot(line))
-
-    @staticmethod
-    def piece(x: Any, breaks: Sequence[Any], rows: Sequence[Sequence[Any]]) -> Sequence[Any]:
-        """As `Kinematics.piece`."""
-        chosen = list(rows[0])
-        for left, row in zip(breaks, rows[1:], strict=True):
-            after = x >= left
-            chosen = [where(after, new, old) for new, old in zip(row, chosen, strict=True)]
-        return chosen
-
-    @staticmethod
-    def either(condition: Any, first: Callable[[], Any], second: Callable[[], Any]) -> Any:
-        """Both where nobody knows which; of tuples entry by entry."""
-        if not isinstance(condition, Scalar):
-            return first() if condition else second()
-        one, other = first(), second()
-        if not isinstance(one, tuple):
-            return where(condition, one, other)
-        return tuple(where(condition, *both) for both in zip(one, other, strict=True))
-
-
-def _is_open(bound: Any) -> bool:
-    return not isinstance(bound, Scalar) and math.isinf(bound)

@@ -4,6 +4,8 @@ They stand in numpy arrays of objects, so that parts index, stack and multiply t
 numbers. What is known stays a float, so zeros and ones cost nothing.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
@@ -11,12 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from mbd_ros.compiled.symbols.tree.link_rotations import Matrix, Vector
+from mbd_ros.compiled.symbols.tree.link_rotations import Matrix
 from mbd_ros.compiled.symbols.untraceable import Untraceable
-
-# ---- scalar -----------------------------------------------------------------------------------
-# Numbers that parts calculate with while they are traced.
-
 
 Number = Any  # float or Scalar
 MOST_PIECES = 1000  # numbers of a table that is traced: each costs four operations
@@ -88,7 +86,7 @@ class Scalar:
     def __neg__(self) -> Any:
         return number(-self.sx)
 
-    def __pos__(self) -> "Scalar":
+    def __pos__(self) -> Scalar:
         return self
 
     def __abs__(self) -> Any:
@@ -135,7 +133,7 @@ class Scalar:
         """Its cosine, as `numpy.cos` asks for it."""
         return number(ca.cos(self.sx))
 
-    def item(self) -> "Scalar":
+    def item(self) -> Scalar:
         """Itself, as for a numpy number."""
         return self
 
@@ -156,6 +154,27 @@ class Scalar:
         return chosen
 
 
+def _each(array: Any, rule: Callable[[Any], Any]) -> Any:
+    return _filled(array.shape, (rule(one) for one in array.ravel().tolist()))
+
+
+def _filled(shape: tuple[int, ...], values: Iterable[Any]) -> Any:
+    found = np.empty(shape, dtype=object)
+    flat = found.reshape(-1)
+    for i, value in enumerate(values):
+        flat[i] = value
+    return found
+
+
+def _is(value: Any, known: float) -> bool:
+    return isinstance(value, float | int | np.floating) and value == known
+
+
+def _is_infinite(value: Any) -> bool:
+    """Whether a finite number changes nothing in it."""
+    return isinstance(value, float | np.floating) and math.isinf(value)
+
+
 def number(sx: Any) -> Number:
     """A float where the value is known, else a `Scalar`."""
     return float(sx) if sx.is_constant() else Scalar(sx)
@@ -166,6 +185,20 @@ def plain(value: Any) -> Any:
     if isinstance(value, Scalar):
         return value.sx
     return value.item() if isinstance(value, np.generic | np.ndarray) else value
+
+
+def where(condition: Any, first: Any, second: Any) -> Any:
+    """The first value where a condition holds, else the second; arrays entry by entry."""
+    if not isinstance(condition, Scalar):
+        return first if condition else second
+    if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
+        one, other = np.broadcast_arrays(first, second)
+        pairs = zip(one.ravel(), other.ravel(), strict=True)
+        return _filled(one.shape, (where(condition, a, b) for a, b in pairs))
+    a, b = plain(first), plain(second)
+    if not isinstance(first, Scalar) and not isinstance(second, Scalar) and a == b:
+        return first
+    return number(ca.if_else(condition.sx, a, b))
 
 
 def numbers(column: Any) -> Any:
@@ -186,20 +219,6 @@ def column(values: Iterable[Number]) -> Any:
     return ca.vertcat(*(ca.SX(plain(value)) for value in values), ca.SX(0, 1))
 
 
-def where(condition: Any, first: Any, second: Any) -> Any:
-    """The first value where a condition holds, else the second; arrays entry by entry."""
-    if not isinstance(condition, Scalar):
-        return first if condition else second
-    if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
-        one, other = np.broadcast_arrays(first, second)
-        pairs = zip(one.ravel(), other.ravel(), strict=True)
-        return _filled(one.shape, (where(condition, a, b) for a, b in pairs))
-    a, b = plain(first), plain(second)
-    if not isinstance(first, Scalar) and not isinstance(second, Scalar) and a == b:
-        return first
-    return number(ca.if_else(condition.sx, a, b))
-
-
 def function(casadi: Callable[..., Any], known: Callable[..., float]) -> Callable[..., Any]:
     """A function of numbers that may be symbols.
 
@@ -214,36 +233,6 @@ def function(casadi: Callable[..., Any], known: Callable[..., float]) -> Callabl
         return known(*values)
 
     return asked
-
-
-def _is(value: Any, known: float) -> bool:
-    return isinstance(value, float | int | np.floating) and value == known
-
-
-def _is_infinite(value: Any) -> bool:
-    """Whether a finite number changes nothing in it."""
-    return isinstance(value, float | np.floating) and math.isinf(value)
-
-
-def _each(array: Any, rule: Callable[[Any], Any]) -> Any:
-    return _filled(array.shape, (rule(one) for one in array.ravel().tolist()))
-
-
-def _filled(shape: tuple[int, ...], values: Iterable[Any]) -> Any:
-    found = np.empty(shape, dtype=object)
-    flat = found.reshape(-1)
-    for i, value in enumerate(values):
-        flat[i] = value
-    return found
-
-
-# ---- arrays -----------------------------------------------------------------------------------
-# Expressions as arrays of numbers that parts understand.
-
-
-def vector(values: Vector) -> Any:
-    """Three expressions as an array of numbers, shape (3,)."""
-    return objects(values)
 
 
 def matrix(rows: Matrix) -> Any:

@@ -1,4 +1,10 @@
-"""Sparse L D L' of symbolic matrices, and its order."""
+"""Sparse L D L' of symbolic matrices, unrolled: zeros cost nothing.
+
+CasADi's `ldl` takes symmetric matrices only, divides by a pivot once more, and its order puts
+multipliers of rows, whose diagonal is zero, before the masses that they need.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
@@ -7,11 +13,8 @@ import casadi as ca
 
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 
-# ---- sparse ldl -------------------------------------------------------------------------------
-# Sparse L D L' of symbolic matrices, unrolled: zeros cost nothing, the order is given.
-
-
 Entries = Mapping[tuple[int, int], Any]  # of the lower triangle, (i, j) with i >= j
+_ZERO = ca.SX(0.0)
 
 
 class SparseLdl:
@@ -96,23 +99,8 @@ def _square(entries: Entries, upper: Entries, order: Sequence[int]) -> dict[int,
     return rows
 
 
-def solved(entries: Entries, right: Sequence[Any], order: Iterable[int]) -> list[Any]:
-    """The solution for one right side."""
-    return SparseLdl(entries, order).solve(right)
-
-
-_ZERO = ca.SX(0.0)
-
-
-# ---- elimination ------------------------------------------------------------------------------
-# The order in which a sparse matrix loses its rows, so that few entries fill in.
-
-
-Edges = Iterable[tuple[int, int]]
-
-
 def order_of(
-    edges: Edges, size: int, after: Mapping[int, Iterable[int]] | None = None
+    edges: Iterable[tuple[int, int]], size: int, after: Mapping[int, Iterable[int]] | None = None
 ) -> list[int]:
     """Rows by least degree, ties by number, the highest first.
 

@@ -3,7 +3,14 @@
 The z axis of a link is that of its joint, x goes along the common normal to the axis of the next
 joint. Source: W. Khalil, J. Kleinfinger, A new geometric notation for open and closed-loop robots,
 ICRA 1986.
+
+The part of a mass distribution that a joint cannot move is given to the parent: a distribution on
+the axis of a revolute joint, the inertia tensor beyond a prismatic one. The equations of motion
+stay the same. Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002,
+ch. 9.
 """
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -13,84 +20,28 @@ import pinocchio as pin
 
 from mbd_ros.core.state import Array
 
-# ---- inertias ---------------------------------------------------------------------------------
-# Mass distributions, and the part of one that its joint cannot move.
-#
-# That part is given to the parent: a distribution on the axis of a revolute joint, the inertia
-# tensor beyond a prismatic one. The equations of motion stay the same. Source: W. Khalil, E.
-# Dombre,
-# Modeling, Identification and Control of Robots, 2002, ch. 9.
-
-
 REVOLUTE, PRISMATIC, FREE = "revolute", "prismatic", "free"
-_INERTIAS_SNAP = 1.0e-15  # rounding of products of rotations
-
-
-class Inertia(NamedTuple):
-    """Mass distribution about the origin of a link, in its axes.
-
-    Attributes:
-        m: Mass [kg].
-        h: Mass times mass centre [kg·m], shape (3,).
-        I: Inertia about the origin [kg·m^2], shape (3, 3).
-    """
-
-    m: Any
-    h: Any
-    I: Any  # noqa: E741
-
-    def plus(self, other: "Inertia") -> "Inertia":
-        """Both together."""
-        return Inertia(self.m + other.m, self.h + other.h, self.I + other.I)
-
-    def seen_from(self, R: Array, p: Array) -> "Inertia":
-        """In the axes of another link.
-
-        Args:
-            R: From these axes to the other ones, shape (3, 3).
-            p: This origin in the other axes [m], shape (3,).
-        """
-        h, P = R @ self.h, skew(p)
-        H = skew(h)
-        moved = R @ self.I @ R.T - H @ P - P @ H - self.m * (P @ P)
-        return Inertia(self.m, h + self.m * p, moved)
-
-
-def split(kind: str, inertia: Inertia) -> tuple[Inertia, Inertia]:
-    """What a link keeps, and what its joint cannot move, which its parent may have."""
-    nothing = np.zeros(3), np.zeros((3, 3))
-    if kind == FREE:
-        return inertia, Inertia(0.0, *nothing)
-    if kind == PRISMATIC:
-        return inertia._replace(I=nothing[1]), Inertia(0.0, nothing[0], inertia.I)
-    along = 0.5 * (inertia.I[0, 0] + inertia.I[1, 1] - inertia.I[2, 2])
-    h = inertia.h * np.array((0.0, 0.0, 1.0))
-    given = Inertia(inertia.m, h, np.diag((along, along, 0.0)))
-    return Inertia(0.0, inertia.h - h, inertia.I - given.I), given
-
-
-def clean(inertia: Inertia) -> Inertia:
-    """Without what is rounding beside the rest."""
-    h, about = inertia.h, inertia.I
-    size = float(np.abs(about).max())
-    moment = max(float(np.abs(h).max()), float(np.sqrt(abs(inertia.m) * size)))
-    h = np.where(np.abs(h) <= _INERTIAS_SNAP * moment, 0.0, h)
-    return Inertia(inertia.m, h, np.where(np.abs(about) <= _INERTIAS_SNAP * size, 0.0, about))
-
-
-def skew(v: Array) -> Array:
-    """The matrix of v x, shape (3, 3)."""
-    x, y, z = v
-    return np.array(((0.0 * x, -z, y), (z, 0.0 * x, -x), (-y, x, 0.0 * x)))
-
-
-# ---- links ------------------------------------------------------------------------------------
-# Links in axes in which most numbers are zero.
-
-
 _SNAP = 1.0e-15  # rounding of products of rotations
 _PARALLEL = 1.0e-6  # sine between axes whose common normal is not asked for
 _FARTHEST = 3.0  # how far along an axis an origin may move, in sizes of the robot
+
+
+class Tree(NamedTuple):
+    """All links, parents before children.
+
+    Attributes:
+        links: The links.
+        ground: What the joints cannot move, in the axes of the world.
+        gravity: Acceleration of free fall [m/s^2], shape (3,).
+        nq: Size of a configuration.
+        nv: Size of a velocity.
+    """
+
+    links: tuple[Link, ...]
+    ground: Inertia
+    gravity: Array
+    nq: int
+    nv: int
 
 
 class Link(NamedTuple):
@@ -130,24 +81,6 @@ class Link(NamedTuple):
         return 6 if self.kind == FREE else 1
 
 
-class Tree(NamedTuple):
-    """All links, parents before children.
-
-    Attributes:
-        links: The links.
-        ground: What the joints cannot move, in the axes of the world.
-        gravity: Acceleration of free fall [m/s^2], shape (3,).
-        nq: Size of a configuration.
-        nv: Size of a velocity.
-    """
-
-    links: tuple[Link, ...]
-    ground: Inertia
-    gravity: Array
-    nq: int
-    nv: int
-
-
 def tree_of(model: Any) -> Tree:
     """The links of a model.
 
@@ -174,44 +107,6 @@ def tree_of(model: Any) -> Tree:
     return Tree(tuple(links), inertias[0], gravity, int(model.nq), int(model.nv))
 
 
-def with_armature(tree: Tree, armature: Sequence[Any]) -> Tree:
-    """The same links with other inertias of drives, one number a velocity."""
-    links = (link._replace(armature=armature[link.v : link.v + link.nv]) for link in tree.links)
-    return tree._replace(links=tuple(links))
-
-
-def with_own_inertias(tree: Tree, model: Any) -> Tree:
-    """The same links with all of their own mass, for what is asked of wrenches between them."""
-    own = (
-        link._replace(inertia=clean(_own_inertia(model, link.joint, link.seat)))
-        for link in tree.links
-    )
-    return tree._replace(links=tuple(own))
-
-
-def _own_inertia(model: Any, j: int, seat: Any) -> Inertia:
-    """Of the links of a joint, in the axes of its `seat`."""
-    given, back = model.inertias[j], seat.inverse()
-    about = given.inertia - given.mass * (skew(given.lever) @ skew(given.lever))
-    at_joint = Inertia(given.mass, given.mass * given.lever, about)
-    return at_joint.seen_from(back.rotation, back.translation)
-
-
-def axis_of(model: Any, joint: int) -> Array:
-    """Axis of a joint with one coordinate, in its frame, shape (3,)."""
-    moves, data = model.joints[joint], model.joints[joint].createData()
-    moves.calc(data, pin.neutral(model))
-    motion = np.array(data.S).reshape(6)
-    along = motion[3:] if _kind(moves) == REVOLUTE else motion[:3]
-    return along / np.linalg.norm(along)
-
-
-def _kind(joint: Any) -> str:
-    if joint.nv == 6:
-        return FREE
-    return PRISMATIC if "P" in joint.shortname().removeprefix("JointModel")[:2] else REVOLUTE
-
-
 def _seats(model: Any) -> list[Any]:
     """Where the axes of every link stand in the frame of its joint."""
     size = max(np.linalg.norm(place.translation) for place in model.jointPlacements)
@@ -225,6 +120,21 @@ def _seats(model: Any) -> list[Any]:
         moves = _kind(model.joints[j]) == REVOLUTE
         seats.append(pin.SE3(_axes(x, z), z * slide if moves else np.zeros(3)))
     return seats
+
+
+def _kind(joint: Any) -> str:
+    if joint.nv == 6:
+        return FREE
+    return PRISMATIC if "P" in joint.shortname().removeprefix("JointModel")[:2] else REVOLUTE
+
+
+def axis_of(model: Any, joint: int) -> Array:
+    """Axis of a joint with one coordinate, in its frame, shape (3,)."""
+    moves, data = model.joints[joint], model.joints[joint].createData()
+    moves.calc(data, pin.neutral(model))
+    motion = np.array(data.S).reshape(6)
+    along = motion[3:] if _kind(moves) == REVOLUTE else motion[:3]
+    return along / np.linalg.norm(along)
 
 
 def _across(model: Any, j: int, z: Array, farthest: float) -> tuple[Array, float]:
@@ -257,6 +167,20 @@ def _axes(x: Array, z: Array) -> Array:
     return np.column_stack((x, np.cross(z, x), z))
 
 
+def _own_inertia(model: Any, j: int, seat: Any) -> Inertia:
+    """Of the links of a joint, in the axes of its `seat`."""
+    given, back = model.inertias[j], seat.inverse()
+    about = given.inertia - given.mass * (skew(given.lever) @ skew(given.lever))
+    at_joint = Inertia(given.mass, given.mass * given.lever, about)
+    return at_joint.seen_from(back.rotation, back.translation)
+
+
+def skew(v: Array) -> Array:
+    """The matrix of v x, shape (3, 3)."""
+    x, y, z = v
+    return np.array(((0.0 * x, -z, y), (z, 0.0 * x, -x), (-y, x, 0.0 * x)))
+
+
 def _placed(model: Any, seats: list[Any], j: int) -> tuple[float, float, float, Array]:
     """Turns about z, x and z, and the offset, from the axes of the parent."""
     whole = seats[int(model.parents[j])].inverse() * model.jointPlacements[j] * seats[j]
@@ -274,14 +198,6 @@ def _placed(model: Any, seats: list[Any], j: int) -> tuple[float, float, float, 
     return beta, alpha, float(np.arctan2(left[1, 0], left[0, 0])), offset
 
 
-def cosine_and_sine(angle: float) -> tuple[float, float]:
-    """Both, exact at right angles."""
-    c, s = float(np.cos(angle)), float(np.sin(angle))
-    if abs(c) <= _SNAP:
-        return 0.0, float(np.sign(s))
-    return (float(np.sign(c)), 0.0) if abs(s) <= _SNAP else (c, s)
-
-
 def _turn(axis: int, angle: float) -> Array:
     c, s = cosine_and_sine(angle)
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -290,7 +206,82 @@ def _turn(axis: int, angle: float) -> Array:
     return R
 
 
+def cosine_and_sine(angle: float) -> tuple[float, float]:
+    """Both, exact at right angles."""
+    c, s = float(np.cos(angle)), float(np.sin(angle))
+    if abs(c) <= _SNAP:
+        return 0.0, float(np.sign(s))
+    return (float(np.sign(c)), 0.0) if abs(s) <= _SNAP else (c, s)
+
+
+def split(kind: str, inertia: Inertia) -> tuple[Inertia, Inertia]:
+    """What a link keeps, and what its joint cannot move, which its parent may have."""
+    nothing = np.zeros(3), np.zeros((3, 3))
+    if kind == FREE:
+        return inertia, Inertia(0.0, *nothing)
+    if kind == PRISMATIC:
+        return inertia._replace(I=nothing[1]), Inertia(0.0, nothing[0], inertia.I)
+    along = 0.5 * (inertia.I[0, 0] + inertia.I[1, 1] - inertia.I[2, 2])
+    h = inertia.h * np.array((0.0, 0.0, 1.0))
+    given = Inertia(inertia.m, h, np.diag((along, along, 0.0)))
+    return Inertia(0.0, inertia.h - h, inertia.I - given.I), given
+
+
 def _rotation(placed: Any) -> Array:
     """From the axes of a link at the position 0 to those of its parent, shape (3, 3)."""
     beta, alpha, gamma, _ = placed
     return _turn(2, beta) @ _turn(0, alpha) @ _turn(2, gamma)
+
+
+def clean(inertia: Inertia) -> Inertia:
+    """Without what is rounding beside the rest."""
+    h, about = inertia.h, inertia.I
+    size = float(np.abs(about).max())
+    moment = max(float(np.abs(h).max()), float(np.sqrt(abs(inertia.m) * size)))
+    h = np.where(np.abs(h) <= _SNAP * moment, 0.0, h)
+    return Inertia(inertia.m, h, np.where(np.abs(about) <= _SNAP * size, 0.0, about))
+
+
+def with_armature(tree: Tree, armature: Sequence[Any]) -> Tree:
+    """The same links with other inertias of drives, one number a velocity."""
+    links = (link._replace(armature=armature[link.v : link.v + link.nv]) for link in tree.links)
+    return tree._replace(links=tuple(links))
+
+
+def with_own_inertias(tree: Tree, model: Any) -> Tree:
+    """The same links with all of their own mass, for what is asked of wrenches between them."""
+    own = (
+        link._replace(inertia=clean(_own_inertia(model, link.joint, link.seat)))
+        for link in tree.links
+    )
+    return tree._replace(links=tuple(own))
+
+
+class Inertia(NamedTuple):
+    """Mass distribution about the origin of a link, in its axes.
+
+    Attributes:
+        m: Mass [kg].
+        h: Mass times mass centre [kg·m], shape (3,).
+        I: Inertia about the origin [kg·m^2], shape (3, 3).
+    """
+
+    m: Any
+    h: Any
+    I: Any  # noqa: E741
+
+    def plus(self, other: Inertia) -> Inertia:
+        """Both together."""
+        return Inertia(self.m + other.m, self.h + other.h, self.I + other.I)
+
+    def seen_from(self, R: Array, p: Array) -> Inertia:
+        """In the axes of another link.
+
+        Args:
+            R: From these axes to the other ones, shape (3, 3).
+            p: This origin in the other axes [m], shape (3,).
+        """
+        h, P = R @ self.h, skew(p)
+        H = skew(h)
+        moved = R @ self.I @ R.T - H @ P - P @ H - self.m * (P @ P)
+        return Inertia(self.m, h + self.m * p, moved)

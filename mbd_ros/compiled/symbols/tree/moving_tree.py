@@ -1,4 +1,9 @@
-"""The links of a tree at symbolic positions, in their own axes or in those of the world."""
+"""The links of a tree at symbolic positions, in their own axes or in those of the world.
+
+`WorldFrames` finds where links are and how they move, in axes of the world, when it is asked.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cache
@@ -27,11 +32,8 @@ from mbd_ros.compiled.symbols.tree.links import (
     cosine_and_sine,
 )
 
-# ---- moving tree ------------------------------------------------------------------------------
-# The links of a tree at symbolic positions, in their own axes or in those of the world.
-
-
 _UP: Vector = (ZERO, ZERO, ONE)
+WORLD = -1  # stands for the link of what is at rest
 
 
 class Placed(NamedTuple):
@@ -54,6 +56,29 @@ class Placed(NamedTuple):
     h: Vector
     I: Matrix  # noqa: E741
     R: Matrix | None
+
+
+def in_own_axes(tree: Tree, q: Any) -> list[Placed]:
+    """Every link in its own axes."""
+    found = []
+    for link, (turn, offset) in zip(tree.links, placements(tree, q), strict=True):
+        inertia = turns.vector(link.inertia.h), turns.matrix(link.inertia.I)
+        found.append(Placed(link, turn, offset, _UP, *inertia, None))
+    return found
+
+
+def in_world_axes(tree: Tree, q: Any) -> list[Placed]:
+    """Every link in the axes of the world, about its own origin; for trees without free bodies."""
+    found: list[Placed] = []
+    for link, (turn, offset) in zip(tree.links, placements(tree, q), strict=True):
+        before = turns.EYE if link.parent < 0 else found[link.parent].R
+        assert before is not None
+        R, way = turns.product(before, turn), turns.through(before, offset)
+        h = turns.through(R, turns.vector(link.inertia.h))
+        about = turns.matrix_tensor(R, turns.matrix(link.inertia.I))
+        axis = turns.through(R, _UP)
+        found.append(Placed(link, (), way, axis, h, about, R))
+    return found
 
 
 def placements(tree: Tree, q: Any) -> list[tuple[Turn, Vector]]:
@@ -80,43 +105,6 @@ def _placement(link: Link, q: Any) -> tuple[Turn, Vector]:
     return [*before, _about_axis(position, link.gamma)], offset
 
 
-def _about_axis(angle: Any, offset: float) -> PlaneTurn:
-    """A turn about z, of sine and cosine of the angle alone where the offset is a right one."""
-    c, s = (turns.known(one) for one in cosine_and_sine(offset))
-    if c is not ZERO and s is not ZERO:
-        return PlaneTurn(2, ca.cos(angle + offset), ca.sin(angle + offset))
-    ahead = PlaneTurn(2, ca.cos(angle), ca.sin(angle)).vector((c, s, ZERO))
-    return PlaneTurn(2, ahead[0], ahead[1])
-
-
-def _constant(axis: int, angle: float) -> Turn:
-    c, s = cosine_and_sine(angle)
-    return () if (c, s) == (1.0, 0.0) else (PlaneTurn(axis, turns.known(c), turns.known(s)),)
-
-
-def in_own_axes(tree: Tree, q: Any) -> list[Placed]:
-    """Every link in its own axes."""
-    found = []
-    for link, (turn, offset) in zip(tree.links, placements(tree, q), strict=True):
-        inertia = turns.vector(link.inertia.h), turns.matrix(link.inertia.I)
-        found.append(Placed(link, turn, offset, _UP, *inertia, None))
-    return found
-
-
-def in_world_axes(tree: Tree, q: Any) -> list[Placed]:
-    """Every link in the axes of the world, about its own origin; for trees without free bodies."""
-    found: list[Placed] = []
-    for link, (turn, offset) in zip(tree.links, placements(tree, q), strict=True):
-        before = turns.EYE if link.parent < 0 else found[link.parent].R
-        assert before is not None
-        R, way = turns.product(before, turn), turns.through(before, offset)
-        h = turns.through(R, turns.vector(link.inertia.h))
-        about = turns.matrix_tensor(R, turns.matrix(link.inertia.I))
-        axis = turns.through(R, _UP)
-        found.append(Placed(link, (), way, axis, h, about, R))
-    return found
-
-
 def rotation_of(quaternion: Any) -> Matrix:
     """Rotation matrix of a unit quaternion x, y, z, w."""
     x, y, z, w = quaternion
@@ -127,27 +115,18 @@ def rotation_of(quaternion: Any) -> Matrix:
     )
 
 
-# ---- world frames -----------------------------------------------------------------------------
-# Where links are and how they move, in axes of the world, found when it is asked for.
+def _constant(axis: int, angle: float) -> Turn:
+    c, s = cosine_and_sine(angle)
+    return () if (c, s) == (1.0, 0.0) else (PlaneTurn(axis, turns.known(c), turns.known(s)),)
 
 
-WORLD = -1  # stands for the link of what is at rest
-
-
-class Moving(NamedTuple):
-    """Motion of a link at zero joint acceleration.
-
-    Attributes:
-        spin: Angular velocity [rad/s].
-        velocity: Of the origin [m/s].
-        turning: Rate of the angular velocity [rad/s^2].
-        acceleration: Of the origin [m/s^2].
-    """
-
-    spin: Vector
-    velocity: Vector
-    turning: Vector
-    acceleration: Vector
+def _about_axis(angle: Any, offset: float) -> PlaneTurn:
+    """A turn about z, of sine and cosine of the angle alone where the offset is a right one."""
+    c, s = (turns.known(one) for one in cosine_and_sine(offset))
+    if c is not ZERO and s is not ZERO:
+        return PlaneTurn(2, ca.cos(angle + offset), ca.sin(angle + offset))
+    ahead = PlaneTurn(2, ca.cos(angle), ca.sin(angle)).vector((c, s, ZERO))
+    return PlaneTurn(2, ahead[0], ahead[1])
 
 
 class WorldFrames:
@@ -244,3 +223,19 @@ class WorldFrames:
             return Moving(plus(spin, along), velocity, plus(turning, across), acceleration)
         acceleration = plus(acceleration, turns.times(ca.SX(2.0), across))
         return Moving(spin, plus(velocity, along), turning, acceleration)
+
+
+class Moving(NamedTuple):
+    """Motion of a link at zero joint acceleration.
+
+    Attributes:
+        spin: Angular velocity [rad/s].
+        velocity: Of the origin [m/s].
+        turning: Rate of the angular velocity [rad/s^2].
+        acceleration: Of the origin [m/s^2].
+    """
+
+    spin: Vector
+    velocity: Vector
+    turning: Vector
+    acceleration: Vector
