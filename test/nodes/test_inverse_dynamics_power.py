@@ -8,7 +8,7 @@ from std_msgs.msg import Float64MultiArray, String
 
 from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.methods.inverse_dynamics.power import ObservedPower
-from mbd_ros.nodes.shell.scene_node import LATCHED
+from mbd_ros.nodes.shell.robot_description import LATCHED
 
 G = 9.81
 HOPPER = urdf(

@@ -7,7 +7,7 @@ from rcl_interfaces.msg import ParameterType
 from rcl_interfaces.srv import DescribeParameters, GetParameters, ListParameters
 from std_msgs.msg import String
 
-from mbd_ros.nodes.shell.scene_node import LATCHED
+from mbd_ros.nodes.shell.robot_description import LATCHED
 from msg_adapters.diagnostics import ERROR
 
 NODES = (

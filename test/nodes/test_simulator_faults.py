@@ -23,8 +23,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from std_srvs.srv import SetBool, Trigger
 
-from mbd_ros.nodes.shell.scene_node import LATCHED
-from mbd_ros.nodes.shell.shell import QUIET
+from mbd_ros.nodes.shell.diagnostics import QUIET
+from mbd_ros.nodes.shell.robot_description import LATCHED
 from msg_adapters.diagnostics import ERROR, OK, WARN
 from msg_adapters.joint_state import write_joint_state
 

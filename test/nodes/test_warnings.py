@@ -2,15 +2,15 @@
 
 import pytest
 
-from mbd_ros.nodes.shell import shell as health
-from mbd_ros.nodes.shell.shell import QUIET, VARIETY, Drops
+from mbd_ros.nodes.shell import diagnostics
+from mbd_ros.nodes.shell.diagnostics import QUIET, VARIETY, Drops
 
 
 @pytest.fixture
 def clock(monkeypatch):
     """The time that `Drops` sees; `clock[0]` sets it."""
     now = [0.0]
-    monkeypatch.setattr(health, "monotonic", lambda: now[0])
+    monkeypatch.setattr(diagnostics, "monotonic", lambda: now[0])
     return now
 
 

@@ -19,8 +19,10 @@ from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.controller.parameters import OF_QP, OTHERS, parameters, with_law
 from mbd_ros.nodes.controller.pipeline import ControlPipeline
 from mbd_ros.nodes.controller.trajectory_action import ABSENT, NAME, TrajectoryAction, action_type
-from mbd_ros.nodes.shell.joint_state_node import JointStateNode
+from mbd_ros.nodes.shell.joint_state_stream import JointStateStream
 from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter
+from mbd_ros.nodes.shell.robot_description import RobotDescription
+from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.scene.schema.code_permission import permitting
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.errors import MessageError
@@ -37,7 +39,7 @@ COMMANDS = QoSProfile(depth=1)
 STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz
 
 
-class ControllerNode(JointStateNode):
+class ControllerNode(Shell):
     """Answers every joint state with a command; without them the command goes safe.
 
     Subclasses set `NAME` and `PARAMETERS`.
@@ -50,6 +52,10 @@ class ControllerNode(JointStateNode):
         self._notes: set[str] = set()
         self._action: TrajectoryAction | None = None
         super().__init__(argv)
+        self._description = RobotDescription(self, self.build)
+        self._stream = JointStateStream(
+            self, self._description, lambda: self._pipeline, self.forget
+        )
 
     def build(self, description: str | None) -> None:
         """Build the scene and the control law; a new law takes over from one at work."""
@@ -62,7 +68,8 @@ class ControllerNode(JointStateNode):
         """Build the scene and its topics."""
         self._commands = self.publish_to(Float64MultiArray, "~/commands", COMMANDS)
         self._states = self.publish_to(JointState, "~/state", STATES)
-        super().configure_core()
+        self._description.build()
+        self._stream.listen(self.answer)
         self.subscribe(JointState, "~/reference", self._on_reference, 10)
         self.subscribe(JointTrajectory, "~/joint_trajectory", self._on_trajectory, 10)
         self._offer_action()
@@ -71,6 +78,10 @@ class ControllerNode(JointStateNode):
         if powerless:
             self.get_logger().warning(f"no authority: effort limit 0 of {', '.join(powerless)}")
 
+    def activate_core(self) -> None:
+        """Begin with an empty past."""
+        self._stream.restart()
+
     def forget(self) -> None:
         """Hold the next state that comes."""
         self._pipeline.forget()
@@ -78,7 +89,7 @@ class ControllerNode(JointStateNode):
 
     def reset(self, reason: str) -> None:
         """Time began anew: the present efforts are unknown, so control comes in by its ramp."""
-        super().reset(reason)
+        self._stream.restart()
         self._pipeline.loop.weight = 1.0
 
     def all_parameters(self, values: Any) -> tuple[Parameter, ...]:
@@ -90,7 +101,7 @@ class ControllerNode(JointStateNode):
         """Refuse a law that cannot be had."""
         if values.controller != self.parameters.controller:
             self.all_parameters(values)
-        super().prepare(values)
+        self._description.follow(values)
 
     def retune(self, values: Any) -> None:
         """New gains and times; a refusal leaves the old ones."""
@@ -103,7 +114,7 @@ class ControllerNode(JointStateNode):
         pipeline = self._pipeline
         if pipeline.x is None:
             return
-        is_fresh = self.silence() <= self.parameters.timeout
+        is_fresh = self._stream.silence() <= self.parameters.timeout
         self._commands.publish(pipeline.commands(pipeline.loop.stop(is_fresh)))
         self._commands.wait_for_all_acked(Duration(seconds=0.1))
 
@@ -123,8 +134,8 @@ class ControllerNode(JointStateNode):
         """State of the stream, then of the loop."""
         pipeline = self._pipeline
         action = self.resolve_topic_name(NAME) if self._action else f"none: {ABSENT}"
-        details = {**pipeline.details(), "action": action, **self.stream_details()}
-        level, text = self.stream_health()
+        details = {**pipeline.details(), "action": action, **self._stream.details()}
+        level, text = self._stream.health()
         if level == STALE or not self.active:
             return level, text, details
         watch, wrong = pipeline.watch, [text] if text else []
@@ -132,7 +143,7 @@ class ControllerNode(JointStateNode):
             lost = f"the loop was lost, the command went safe: {watch.fault}"
             return ERROR, "; ".join([lost, *wrong]), details
         wrong += [*watch.warnings(), *pipeline.loop.controller.warnings()]
-        wrong += [self._loss] if self._loss else []
+        wrong += [self._stream.loss] if self._stream.loss else []
         if not self._is_heard:
             wrong.append("nobody hears the commands: integrals stand still")
         if pipeline.loop.guard.powerless:
@@ -151,7 +162,7 @@ class ControllerNode(JointStateNode):
             answer = self._pipeline.answer(stamp, sample)
         except SolveError as error:
             self._count_failures()
-            self.drop_state("unsolved", f"joint_states: {error}")
+            self._stream.drop("unsolved", f"joint_states: {error}")
             return None
         if isinstance(answer, SampleStatus):
             return answer
@@ -159,7 +170,7 @@ class ControllerNode(JointStateNode):
         self._states.publish(answer.state)
         if self._action is not None:
             self._action.update(stamp)
-        self.note_answer(stamp)
+        self._stream.note_answer(stamp)
         self._count_failures()
         return None
 
@@ -175,7 +186,7 @@ class ControllerNode(JointStateNode):
         loop = self._pipeline.loop
         self._is_heard = self._commands.get_subscription_count() > 0
         loop.is_frozen = not self._is_heard
-        if self.silence() > self.parameters.timeout:
+        if self._stream.silence() > self.parameters.timeout:
             effort = loop.lapse(since)
             if loop.is_open:
                 self._give_up("joint states stopped: the safe command took over")
@@ -192,7 +203,7 @@ class ControllerNode(JointStateNode):
             return
         refused = partial(self.drop, "goal")
         self._action = TrajectoryAction(self, kind, lambda: self._pipeline, refused, self._note)
-        self._entities.keep(self.state, self._withdraw_action, self._action)
+        self.keep(self._action, self._withdraw_action)
 
     def _withdraw_action(self, action: TrajectoryAction) -> None:
         self._action = None

@@ -12,9 +12,10 @@ from mbd_ros.errors import SolveError
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
-from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
-from mbd_ros.nodes.shell.scene_node import LATCHED
+from mbd_ros.nodes.shell.joint_state_stream import SENSOR, JointStateStream
+from mbd_ros.nodes.shell.robot_description import LATCHED, RobotDescription
 from mbd_ros.nodes.shell.serialized import read_load, require_size
+from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.shell.stream_parameters import PARAMETERS, tuning
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
@@ -26,13 +27,23 @@ if TYPE_CHECKING:
 POWERS = 100  # a reader may be away for 0.1 s at 1 kHz
 
 
-class InverseDynamicsNode(JointStateNode):
+class InverseDynamicsNode(Shell):
     """Answers every joint state with the torques that explain the motion."""
 
     NAME = "inverse_dynamics"
     PARAMETERS = PARAMETERS
-    STAMPED = "joint states or wrenches"
     _pipeline: Pipeline
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self._description = RobotDescription(self, self.build)
+        self._stream = JointStateStream(
+            self,
+            self._description,
+            lambda: self._pipeline,
+            self.forget,
+            stamped="joint states or wrenches",
+        )
 
     def build(self, description: str | None) -> None:
         """Build the scene."""
@@ -40,7 +51,8 @@ class InverseDynamicsNode(JointStateNode):
 
     def configure_core(self) -> None:
         """Build the scene and its topics."""
-        super().configure_core()
+        self._description.build()
+        self._listen()
         self.open_outputs()
         wrenches = self._pipeline.scene.wrenches
         for name, wrench in wrenches.items():
@@ -62,11 +74,11 @@ class InverseDynamicsNode(JointStateNode):
             for base in self._pipeline.scene.robot.bases
         ]
 
-    def listen(self) -> None:
+    def _listen(self) -> None:
         """Subscribe to joint states, and to what belongs to them on other topics."""
         whole = self._pipeline.whole
         if whole is None:
-            super().listen()
+            self._stream.listen(self.answer)
             return
         for topic in whole.joint_topics:
             take = self._on_part(topic, partial(self._read_joints, topic))
@@ -81,6 +93,18 @@ class InverseDynamicsNode(JointStateNode):
             take = self._on_part(topic, partial(read_odometry, link=base.frame))
             self.subscribe(Odometry, topic, take, SENSOR, single_publisher=True)
 
+    def prepare(self, values: Any) -> None:
+        """Listen for the robot of another scene."""
+        self._description.follow(values)
+
+    def activate_core(self) -> None:
+        """Begin with an empty past."""
+        self._stream.restart()
+
+    def reset(self, reason: str) -> None:
+        """Begin anew: another past and another clock count alike."""
+        self._stream.restart()
+
     def forget(self) -> None:
         """Empty filters, wrench buffers and the queue."""
         self._pipeline.reset()
@@ -92,8 +116,8 @@ class InverseDynamicsNode(JointStateNode):
 
     def health(self) -> tuple[int, str, dict[str, str]]:
         """State of the stream, then contents of the numbers."""
-        details = {**self._pipeline.details(), **self.stream_details()}
-        level, text = self.stream_health()
+        details = {**self._pipeline.details(), **self._stream.details()}
+        level, text = self._stream.health()
         whole = self._pipeline.whole
         if level != OK and whole is not None and whole.unheard:
             text = f"{text}; nothing heard on {', '.join(sorted(whole.unheard))}"
@@ -132,18 +156,18 @@ class InverseDynamicsNode(JointStateNode):
             assert pipeline.whole is not None
             try:
                 part = read(message)
-                stamp = self.stamp_of(part.stamp) if part.stamp else 0
+                stamp = self._stream.stamp_of(part.stamp) if part.stamp else 0
                 if stamp is None:
                     return
                 sample, lost = pipeline.whole.add(topic, stamp, part)
             except MessageError as error:
-                self.drop_state("malformed", f"{topic}: {error}")
+                self._stream.drop("malformed", f"{topic}: {error}")
                 return
             for _ in range(lost):
-                self.drop_state("no_partner", "messages of one stamp did not come on all topics")
+                self._stream.drop("no_partner", "messages of one stamp did not come on all topics")
             if sample is not None:
                 observed = partial(pipeline.observe_whole, sample)
-                self.judge(lambda: self._answer(observed()), pipeline.whole)
+                self._stream.judge(lambda: self._answer(observed()), pipeline.whole)
 
         return take
 
@@ -155,7 +179,7 @@ class InverseDynamicsNode(JointStateNode):
             except MessageError as error:
                 self.drop("wrench", str(error))
                 return
-            if not buffer.add(sample.stamp or self.receive_time(), sample.wrench):
+            if not buffer.add(sample.stamp or self._stream.receive_time(), sample.wrench):
                 self.drop("wrench", f"wrench '{name}': stamp not newer than the last")
             else:
                 self._flush()
@@ -173,7 +197,7 @@ class InverseDynamicsNode(JointStateNode):
         for x, wrenches in self._pipeline.queue.take():
             lacking = [name for name, wrench in wrenches.items() if wrench is None]
             if lacking:
-                self.drop_state("no_wrench", f"no wrench '{lacking[0]}' near the joint state")
+                self._stream.drop("no_wrench", f"no wrench '{lacking[0]}' near the joint state")
             else:
                 self._solve(x, tuple(wrenches.values()))
 
@@ -181,12 +205,12 @@ class InverseDynamicsNode(JointStateNode):
         try:
             is_answered = self.publish_answer(x, wrenches)
         except SolveError as error:
-            self.drop_state("unsolved", str(error))
+            self._stream.drop("unsolved", str(error))
             return
         if not is_answered:
-            self.drop_state("result", "the torques of a joint state are not finite")
+            self._stream.drop("result", "the torques of a joint state are not finite")
             return
-        self.note_answer(x.stamp)
+        self._stream.note_answer(x.stamp)
 
     def publish_answer(self, x: Observation, wrenches: Sequence[Any]) -> bool:
         """Solve and publish; False where torques are not finite.

@@ -1,5 +1,6 @@
 """Node `joint_state_projector`: measured joint states in, the nearest consistent ones out."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from sensor_msgs.msg import JointState
@@ -9,19 +10,28 @@ from mbd_ros.errors import SolveError
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.joint_state_projector.parameters import PARAMETERS, tuning
 from mbd_ros.nodes.joint_state_projector.pipeline import ProjectorPipeline
-from mbd_ros.nodes.shell.joint_state_node import JointStateNode
+from mbd_ros.nodes.shell.joint_state_stream import JointStateStream
+from mbd_ros.nodes.shell.robot_description import RobotDescription
+from mbd_ros.nodes.shell.shell import Shell
 from msg_adapters.diagnostics import OK
 from msg_adapters.joint_state import JointSample
 
 DEPTH = 100  # a reader may be away for 0.1 s at 1 kHz
 
 
-class JointStateProjectorNode(JointStateNode):
+class JointStateProjectorNode(Shell):
     """Answers every joint state with the nearest one on the constraints and within limits."""
 
     NAME = "joint_state_projector"
     PARAMETERS = PARAMETERS
     _pipeline: ProjectorPipeline
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self._description = RobotDescription(self, self.build)
+        self._stream = JointStateStream(
+            self, self._description, lambda: self._pipeline, self.forget
+        )
 
     def build(self, description: str | None) -> None:
         """Build the scene."""
@@ -33,7 +43,20 @@ class JointStateProjectorNode(JointStateNode):
         self._states = self.publish_to(JointState, "~/joint_states", DEPTH)
         self._forces = self.publish_to(JointState, "~/constraint_forces", DEPTH)
         self._violation = self.publish_to(Float64MultiArray, "~/violation", DEPTH)
-        super().configure_core()
+        self._description.build()
+        self._stream.listen(self.answer)
+
+    def prepare(self, values: Any) -> None:
+        """Listen for the robot of another scene."""
+        self._description.follow(values)
+
+    def activate_core(self) -> None:
+        """Begin with an empty past."""
+        self._stream.restart()
+
+    def reset(self, reason: str) -> None:
+        """Begin anew: another past and another clock count alike."""
+        self._stream.restart()
 
     def forget(self) -> None:
         """Empty filters; missing joints start from the initial state of the scene again."""
@@ -47,8 +70,8 @@ class JointStateProjectorNode(JointStateNode):
 
     def health(self) -> tuple[int, str, dict[str, str]]:
         """State of the stream, then fit of the measurement to the mechanism."""
-        details = {**self._pipeline.details(), **self.stream_details()}
-        level, text = self.stream_health()
+        details = {**self._pipeline.details(), **self._stream.details()}
+        level, text = self._stream.health()
         if level == OK:
             level, text = self._pipeline.health(self.parameters.violation_tolerance)
         return level, text, details
@@ -67,11 +90,11 @@ class JointStateProjectorNode(JointStateNode):
         if answer.forces is not None:
             self._forces.publish(answer.forces)
         self._violation.publish(answer.violation)
-        self.note_answer(stamp)
+        self._stream.note_answer(stamp)
         return None
 
     def _drop_unsolved(self, error: SolveError) -> None:
         self._failures += 1
         if self._failures >= self.parameters.failures:
             raise SolveError(f"{self._failures} joint states in a row: {error}") from error
-        self.drop_state("unsolved", f"joint_states: {error}")
+        self._stream.drop("unsolved", f"joint_states: {error}")

@@ -1,5 +1,6 @@
 """Node `marker_kinematics`: places of markers in, joint states out."""
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -12,20 +13,35 @@ from mbd_ros.errors import SolveError
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.marker_kinematics.parameters import PARAMETERS
 from mbd_ros.nodes.marker_kinematics.pipeline import MarkerPipeline
-from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
+from mbd_ros.nodes.shell.joint_state_stream import SENSOR, JointStateStream
+from mbd_ros.nodes.shell.robot_description import RobotDescription
+from mbd_ros.nodes.shell.shell import Shell
 from msg_adapters.diagnostics import OK
 from msg_adapters.errors import MessageError
 
+TOPIC = "markers"
 DEPTH = 100  # a reader may be away for half a second at 200 Hz
 
 
-class MarkerKinematicsNode(JointStateNode):
+class MarkerKinematicsNode(Shell):
     """Answers every array of markers with the joint states that fit it best."""
 
     NAME = "marker_kinematics"
     PARAMETERS = PARAMETERS
-    STAMPED, SAMPLE, TOPIC = "markers", "array of markers", "markers"
-    _pipeline: MarkerPipeline  # type: ignore[assignment]
+    _pipeline: MarkerPipeline
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self._description = RobotDescription(self, self.build)
+        self._stream = JointStateStream(
+            self,
+            self._description,
+            lambda: self._pipeline,
+            self.forget,
+            sample="array of markers",
+            topic=TOPIC,
+            stamped="markers",
+        )
 
     def build(self, description: str | None) -> None:
         """Build the scene."""
@@ -36,11 +52,20 @@ class MarkerKinematicsNode(JointStateNode):
         """Build the scene and its topics."""
         self._states = self.publish_to(JointState, "~/joint_states", DEPTH)
         self._residuals = self.publish_to(Float64MultiArray, "~/residuals", DEPTH)
-        super().configure_core()
+        self._description.build()
+        self.subscribe(MarkerArray, TOPIC, self._take_markers, SENSOR, single_publisher=True)
 
-    def listen(self) -> None:
-        """Subscribe to markers."""
-        self.subscribe(MarkerArray, self.TOPIC, self._take_markers, SENSOR, single_publisher=True)
+    def prepare(self, values: Any) -> None:
+        """Listen for the robot of another scene."""
+        self._description.follow(values)
+
+    def activate_core(self) -> None:
+        """Begin with an empty past."""
+        self._stream.restart()
+
+    def reset(self, reason: str) -> None:
+        """Begin anew: another past and another clock count alike."""
+        self._stream.restart()
 
     def forget(self) -> None:
         """Empty filters; the next frame is sought from the default pose."""
@@ -55,8 +80,8 @@ class MarkerKinematicsNode(JointStateNode):
 
     def health(self) -> tuple[int, str, dict[str, str]]:
         """State of the stream, then fit of the markers."""
-        details = {**self._pipeline.details(), **self.stream_details()}
-        level, text = self.stream_health()
+        details = {**self._pipeline.details(), **self._stream.details()}
+        level, text = self._stream.health()
         if level == OK:
             level, text = self._pipeline.health()
         return level, text, details
@@ -66,11 +91,11 @@ class MarkerKinematicsNode(JointStateNode):
         try:
             sample = pipeline.joints.read(msg)
         except MessageError as error:
-            self.drop_state("malformed", f"{self.TOPIC}: {error}")
+            self._stream.drop("malformed", f"{TOPIC}: {error}")
             return
-        stamp = self.stamp_of(sample.stamp)
+        stamp = self._stream.stamp_of(sample.stamp)
         if stamp is not None:
-            self.judge(partial(self._answer_places, stamp, sample.places), pipeline.joints)
+            self._stream.judge(partial(self._answer_places, stamp, sample.places), pipeline.joints)
 
     def _answer_places(self, stamp: int, places: Array) -> SampleStatus | None:
         try:
@@ -83,11 +108,11 @@ class MarkerKinematicsNode(JointStateNode):
         self._failures = 0
         self._states.publish(answer.states)
         self._residuals.publish(answer.residuals)
-        self.note_answer(stamp)
+        self._stream.note_answer(stamp)
         return None
 
     def _drop_unsolved(self, error: SolveError) -> None:
         self._failures += 1
         if self._failures >= self.parameters.failures:
             raise SolveError(f"{self._failures} messages in a row: {error}") from error
-        self.drop_state("unsolved", f"{self.TOPIC}: {error}")
+        self._stream.drop("unsolved", f"{TOPIC}: {error}")

@@ -1,5 +1,6 @@
 """Node `payload_estimator`: joint states with efforts in, mass and inertia of the payload out."""
 
+from collections.abc import Sequence
 from typing import Any
 
 from geometry_msgs.msg import InertiaStamped
@@ -9,7 +10,9 @@ from mbd_ros.core.model.inertial_parameters import COUNT, PLACES
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.payload_estimator.parameters import PARAMETERS
 from mbd_ros.nodes.payload_estimator.pipeline import Carried, PayloadPipeline
-from mbd_ros.nodes.shell.joint_state_node import JointStateNode
+from mbd_ros.nodes.shell.joint_state_stream import JointStateStream
+from mbd_ros.nodes.shell.robot_description import RobotDescription
+from mbd_ros.nodes.shell.shell import Shell
 from msg_adapters.diagnostics import OK
 from msg_adapters.inertia import write_inertia
 from msg_adapters.joint_state import JointSample
@@ -19,12 +22,19 @@ DEPTH = 10
 LABELS = tuple(f"{a}.{b}" for a in PLACES for b in PLACES)
 
 
-class PayloadEstimatorNode(JointStateNode):
+class PayloadEstimatorNode(Shell):
     """Says what a link carries, after every eighth of a period of the filter."""
 
     NAME = "payload_estimator"
     PARAMETERS = PARAMETERS
     _pipeline: PayloadPipeline
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self._description = RobotDescription(self, self.build)
+        self._stream = JointStateStream(
+            self, self._description, lambda: self._pipeline, self.forget
+        )
 
     def build(self, description: str | None) -> None:
         """Build the scene."""
@@ -35,7 +45,20 @@ class PayloadEstimatorNode(JointStateNode):
         self._payload = self.publish_to(InertiaStamped, "~/payload", DEPTH)
         self._covariance = self.publish_to(Float64MultiArray, "~/covariance", DEPTH)
         self._message, self._writer = InertiaStamped(), MultiArrayCdrWriter(COUNT**2, LABELS)
-        super().configure_core()
+        self._description.build()
+        self._stream.listen(self.answer)
+
+    def prepare(self, values: Any) -> None:
+        """Listen for the robot of another scene."""
+        self._description.follow(values)
+
+    def activate_core(self) -> None:
+        """Begin with an empty past."""
+        self._stream.restart()
+
+    def reset(self, reason: str) -> None:
+        """Begin anew: another past and another clock count alike."""
+        self._stream.restart()
 
     def forget(self) -> None:
         """Empty filters, and forget the payload."""
@@ -47,8 +70,8 @@ class PayloadEstimatorNode(JointStateNode):
 
     def health(self) -> tuple[int, str, dict[str, str]]:
         """State of the stream, then what the motion shows."""
-        details = {**self._pipeline.details(), **self.stream_details()}
-        level, text = self.stream_health()
+        details = {**self._pipeline.details(), **self._stream.details()}
+        level, text = self._stream.health()
         if level == OK:
             level, text = self._pipeline.health()
         return level, text, details
@@ -64,5 +87,5 @@ class PayloadEstimatorNode(JointStateNode):
                 write_inertia(self._message, stamp, self._pipeline.frame, *numbers)
             )
             self._covariance.publish(self._writer.write(found.covariance))
-        self.note_answer(stamp)
+        self._stream.note_answer(stamp)
         return None

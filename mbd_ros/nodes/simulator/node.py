@@ -15,8 +15,9 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 
 from mbd_ros.errors import DivergedError, MbdError
-from mbd_ros.nodes.shell.joint_state_node import SENSOR
-from mbd_ros.nodes.shell.scene_node import SceneNode
+from mbd_ros.nodes.shell.joint_state_stream import SENSOR
+from mbd_ros.nodes.shell.robot_description import RobotDescription
+from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.simulator.outputs import SimulatedClock, SimulatorOutputs
 from mbd_ros.nodes.simulator.parameters import PARAMETERS
 from mbd_ros.nodes.simulator.plant import Plant
@@ -262,7 +263,7 @@ EVERY_COMMAND = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 STANDING = 0.1  # s between looks for who comes late, while time stands
 
 
-class SimulatorNode(SceneNode):
+class SimulatorNode(Shell):
     """Advances a scene by one tick at a time and publishes every state."""
 
     NAME = "simulator"
@@ -272,11 +273,12 @@ class SimulatorNode(SceneNode):
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
+        self._description = RobotDescription(self, self.build, self.replace)
         self._is_paused = False
         self._pace = Pace(1.0, 1.0)  # until configured
         self._standing = Standing()
-        self._tick = self._guarded(self._advance, False)
-        self._show = self._guarded(self._publish, False)
+        self._tick = self.guarded(self._advance)
+        self._show = self.guarded(self._publish)
         self.create_service(Trigger, "~/reset", self._on_reset)
         self.create_service(Trigger, "~/step", self._on_step)
         self.create_service(SetBool, "~/pause", self._on_pause)
@@ -288,12 +290,12 @@ class SimulatorNode(SceneNode):
     def replace(self, description: str) -> None:
         """Keep the robot of a simulation that has begun; the next one takes the new robot."""
         Plant(self.parameters, description)  # says what is wrong with it
-        self._description = description
+        self._description.urdf = description
         raise MbdError("a simulation keeps its robot; clean up and configure to change it")
 
     def configure_core(self) -> None:
         """Build the scene and its topics."""
-        super().configure_core()
+        self._description.build()
         values, plant = self.parameters, self._plant
         self._is_paused = values.paused
         self._pace = Pace(1.0 / values.rate, values.real_time_factor)
@@ -308,6 +310,10 @@ class SimulatorNode(SceneNode):
             self.subscribe(kind, topic, take, qos, single_publisher=True)
         for topic, hear in plant.loads.items():
             self.subscribe(WrenchStamped, topic, self._on_wrench(hear), SENSOR)
+
+    def prepare(self, values: Any) -> None:
+        """Listen for the robot of another scene."""
+        self._description.follow(values)
 
     def activate_core(self) -> None:
         """Continue from the kept state; show it at once.

@@ -24,7 +24,7 @@ from mbd_ros.files.topics import joint_state_topic, odometry_topic
 from mbd_ros.methods.simulation.live_simulation import LiveSimulation
 from mbd_ros.methods.simulation.noisy_sensors import NoisySensors
 from mbd_ros.nodes.shell.messages import sensor_messages
-from mbd_ros.nodes.shell.scene_node import LATCHED
+from mbd_ros.nodes.shell.robot_description import LATCHED
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.simulator.plant import Plant
 from mbd_ros.parts.sensors.effort import Effort

@@ -1,6 +1,6 @@
 """Node `state_estimator`: noisy and partial measurements in, states of all joints out."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -11,9 +11,11 @@ from std_msgs.msg import Float64MultiArray
 from mbd_ros.errors import DivergedError, SolveError
 from mbd_ros.features.estimation.tracker import Taken
 from mbd_ros.methods.signals.differentiation import SampleStatus
-from mbd_ros.nodes.shell.joint_state_node import SENSOR, JointStateNode
+from mbd_ros.nodes.shell.joint_state_stream import SENSOR, JointStateStream
 from mbd_ros.nodes.shell.messages import SensorMessage, command_reader
+from mbd_ros.nodes.shell.robot_description import RobotDescription
 from mbd_ros.nodes.shell.serialized import read_load
+from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages
 from mbd_ros.nodes.state_estimator.parameters import PARAMETERS
 from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline
@@ -24,13 +26,23 @@ from msg_adapters.joint_state import JointSample
 DEPTH = 100  # a reader may be away for 0.2 s at 500 Hz
 
 
-class StateEstimatorNode(JointStateNode):
+class StateEstimatorNode(Shell):
     """Answers every measurement with the state that explains all of them best."""
 
     NAME = "state_estimator"
     PARAMETERS = PARAMETERS
-    STAMPED = "joint states and sensors"
     _pipeline: EstimatorPipeline
+
+    def __init__(self, argv: Sequence[str] = ()) -> None:
+        super().__init__(argv)
+        self._description = RobotDescription(self, self.build)
+        self._stream = JointStateStream(
+            self,
+            self._description,
+            lambda: self._pipeline,
+            self.forget,
+            stamped="joint states and sensors",
+        )
 
     def build(self, description: str | None) -> None:
         """Build the scene."""
@@ -49,11 +61,8 @@ class StateEstimatorNode(JointStateNode):
         if self.parameters.covariance:
             self._covariance = self.publish_to(Float64MultiArray, "~/covariance", DEPTH)
         self._innovations = self.publish_to(Float64MultiArray, "~/innovations", DEPTH)
-        super().configure_core()
-
-    def listen(self) -> None:
-        """Subscribe to joint states, and to what else is measured."""
-        super().listen()
+        self._description.build()
+        self._stream.listen(self.answer)
         for one in self._pipeline.messages:
             self.subscribe(one.type, one.topic, self._on_sensor(one), SENSOR)
         for name, wrench in self._pipeline.scene.wrenches.items():
@@ -62,6 +71,18 @@ class StateEstimatorNode(JointStateNode):
             self._commands = command_reader(self._pipeline.estimation.scene, ())
             self.subscribe(JointState, "joint_commands", self._take_command, SENSOR)
 
+    def prepare(self, values: Any) -> None:
+        """Listen for the robot of another scene."""
+        self._description.follow(values)
+
+    def activate_core(self) -> None:
+        """Begin with an empty past."""
+        self._stream.restart()
+
+    def reset(self, reason: str) -> None:
+        """Begin anew: another past and another clock count alike."""
+        self._stream.restart()
+
     def forget(self) -> None:
         """The next joint state is the first one."""
         self._pipeline.forget()
@@ -69,8 +90,8 @@ class StateEstimatorNode(JointStateNode):
 
     def health(self) -> tuple[int, str, dict[str, str]]:
         """State of the stream, then of the estimate."""
-        details = {**self._pipeline.details(), **self.stream_details()}
-        level, text = self.stream_health()
+        details = {**self._pipeline.details(), **self._stream.details()}
+        level, text = self._stream.health()
         if level == OK:
             level, text = self._pipeline.health()
         return level, text, details
@@ -90,7 +111,7 @@ class StateEstimatorNode(JointStateNode):
             return SampleStatus.OLD if answer is Taken.OLD else None
         for one in answer:
             self.publish_answer(one)
-        self.note_answer(self._pipeline.newest)
+        self._stream.note_answer(self._pipeline.newest)
         return None
 
     def publish_answer(self, answer: EstimateMessages) -> None:
@@ -124,10 +145,10 @@ class StateEstimatorNode(JointStateNode):
             except MessageError as error:
                 self.drop("sensor", f"{one.topic}: {error}")
                 return
-            stamp = self.stamp_of(sample.stamp)
+            stamp = self._stream.stamp_of(sample.stamp)
             if stamp is not None:
                 ask = partial(self._pipeline.answer_sensor, name, stamp, sample.values)
-                self.judge(partial(self._answer, ask), self._pipeline.joints)
+                self._stream.judge(partial(self._answer, ask), self._pipeline.joints)
 
         return take
 
@@ -138,7 +159,7 @@ class StateEstimatorNode(JointStateNode):
             except MessageError as error:
                 self.drop("wrench", str(error))
                 return
-            stamp = sample.stamp or self.receive_time()
+            stamp = sample.stamp or self._stream.receive_time()
             if not self._pipeline.wrenches[name].add(stamp, sample.wrench):
                 self.drop("wrench", f"wrench '{name}': stamp not newer than the last")
 
@@ -149,4 +170,4 @@ class StateEstimatorNode(JointStateNode):
         self._pipeline.forget()
         if self._failures >= self.parameters.failures:
             raise SolveError(f"{self._failures} joint states in a row: {error}") from error
-        self.drop_state("unsolved", f"joint_states: {error}")
+        self._stream.drop("unsolved", f"joint_states: {error}")

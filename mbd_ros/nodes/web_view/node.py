@@ -16,7 +16,8 @@ from std_srvs.srv import SetBool, Trigger
 
 from mbd_ros.core.state import Array
 from mbd_ros.nodes.shell.parameters import ParameterError
-from mbd_ros.nodes.shell.scene_node import SceneNode
+from mbd_ros.nodes.shell.robot_description import RobotDescription
+from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.web_view.leading import Leading
 from mbd_ros.nodes.web_view.parameters import PARAMETERS
 from mbd_ros.nodes.web_view.robot_topics import RobotTopics, within
@@ -102,7 +103,7 @@ class _Robot(NamedTuple):
     leading: Leading
 
 
-class WebViewNode(SceneNode):
+class WebViewNode(Shell):
     """Shows robots in browsers, at most 30 times a second, and hands on what people ask for."""
 
     NAME = "web_view"
@@ -111,6 +112,7 @@ class WebViewNode(SceneNode):
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
+        self._description = RobotDescription(self, self.build, self.replace)
         self._robots: list[_Robot] = []
         self._reports: dict[str, str] = {}
         self._reached: dict[str, str] = {}
@@ -145,11 +147,11 @@ class WebViewNode(SceneNode):
 
     def configure_core(self) -> None:
         """Build, open the page, and listen."""
-        super().configure_core()
+        self._description.build()
         values = self.parameters
         label = Path(self._views[0].scene.name).name
         server = PageServer(values.host, values.port, label, values.token, values.origins)
-        self._entities.keep(self.state, PageServer.close, server)
+        self.keep(server, PageServer.close)
         self._page, self._departures = LivePage(server, self._views, label, self._offsets()), 0
         self._robots = [
             self._robot(space, view) for space, view in zip(self._spaces, self._views, strict=True)
@@ -162,8 +164,12 @@ class WebViewNode(SceneNode):
     def replace(self, description: str) -> None:
         """Keep the robot; a page that shows another one is made by the next configuration."""
         load_scene(self.parameters.scene, description)  # says what is wrong with it
-        self._description = description
+        self._description.urdf = description
         raise ParameterError("a page keeps its robot; clean up and configure to change it")
+
+    def prepare(self, values: Any) -> None:
+        """Listen for the robot of another scene."""
+        self._description.follow(values)
 
     def activate_core(self) -> None:
         """Draw from now on."""
@@ -207,7 +213,7 @@ class WebViewNode(SceneNode):
     def _ask_of(self, kind: type, service: str) -> Any:
         """A client that ends with this configuration."""
         client = self.create_client(kind, service)
-        self._entities.keep(self.state, self.destroy_client, client)
+        self.keep(client, self.destroy_client)
         return client
 
     def _answer_of(self, view: LiveRobot) -> Any:

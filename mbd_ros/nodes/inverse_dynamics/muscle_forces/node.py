@@ -11,7 +11,7 @@ from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
 from mbd_ros.nodes.inverse_dynamics.muscle_forces.parameters import PARAMETERS
 from mbd_ros.nodes.inverse_dynamics.muscle_forces.pipeline import MusclePipeline
 from mbd_ros.nodes.inverse_dynamics.node import InverseDynamicsNode
-from mbd_ros.nodes.shell.joint_state_node import SENSOR
+from mbd_ros.nodes.shell.joint_state_stream import SENSOR
 from msg_adapters.errors import MessageError
 
 DEPTH = 100  # a reader may be away for 0.1 s at 1 kHz
