@@ -17,7 +17,7 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
-from mbd_ros.nodes.simulator.node import PATIENCE, Pace, wake_exactly
+from mbd_ros.nodes.simulator.pace import PATIENCE, Pace, wake_exactly
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointStateWriter
 

@@ -1,4 +1,4 @@
-"""Nodes of controllers: joint states and a reference in, commands out."""
+"""Nodes `qp_controller` and `sliding_mode_controller`: joint states and references to commands."""
 
 import math
 import time
@@ -28,10 +28,6 @@ from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_trajectory import read_joint_trajectory
-
-# ---- node -------------------------------------------------------------------------------------
-# Common part of both controller nodes: joint states and a reference in, commands out.
-
 
 MOST_NOTES = 20  # what was said of references and is kept, so that it is said once
 WATCH = 0.01  # s between looks at the stream, and between commands while none comes
@@ -154,8 +150,6 @@ class ControllerNode(Shell):
             wrong.append(f"no answer of the law to {pipeline.loop.failures} states in a row")
         return (WARN if wrong else OK), "; ".join(wrong) or "controlling", details
 
-    # ------------------------------------------------------------------ joint states
-
     def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Send the command of the control law."""
         try:
@@ -192,8 +186,6 @@ class ControllerNode(Shell):
                 self._give_up("joint states stopped: the safe command took over")
             if effort is not None:
                 self._commands.publish(self._pipeline.commands(effort))
-
-    # ------------------------------------------------------------------ references
 
     def _offer_action(self) -> None:
         """The action, where its messages are installed; else say why there is none."""
@@ -234,19 +226,11 @@ class ControllerNode(Shell):
             self.get_logger().info(f"references: {text}")
 
 
-# ---- qp ---------------------------------------------------------------------------------------
-# Node `qp_controller`: see `controller`.
-
-
 class QpControllerNode(ControllerNode):
     """Tracking by a constrained QP."""
 
     NAME = "qp_controller"
     PARAMETERS = parameters(OF_QP, "qp_tracking", takes_code=False)
-
-
-# ---- sliding mode -----------------------------------------------------------------------------
-# Node `sliding_mode_controller`: see `controller`.
 
 
 class SlidingModeControllerNode(ControllerNode):

@@ -13,25 +13,26 @@ from mbd_ros.features.control.loop_watch import ChatterMeter
 from mbd_ros.features.control.reference import ReferenceGenerator
 from mbd_ros.files.plan import read_plan
 from mbd_ros.methods.control.contract import ControlledJoints, Controller
-from mbd_ros.nodes.shell.parameters import Parameter, ParameterError, of, parameter
-from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS
-from mbd_ros.nodes.shell.stream_parameters import tunable
+from mbd_ros.nodes.shell.parameters import (
+    Parameter,
+    ParameterError,
+    argument_parameter,
+    constructor_parameters,
+)
+from mbd_ros.nodes.shell.stream_parameters import TUNING, stream_parameters, tunable
 from mbd_ros.scene.schema.registry import PARTS, resolve
 from mbd_ros.scene.schema.schema import Argument, arguments
 
-# ---- parameters -------------------------------------------------------------------------------
-# Parameters that both controller nodes have beside the gains of their laws.
-
-
-_SHARED = (
-    *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
-    *("clock_tolerance", "coupling_tolerance"),
-)
 _REFERENCE = {name: f"reference_{name}" for name in ("ramp", "ramp_speed", "timeout")}
 EACH = " One value, or one a joint."
-
 COMMON = (
-    *(parameter for parameter in INVERSE_DYNAMICS if parameter.name in _SHARED),
+    *stream_parameters(
+        "scene",
+        "allow_code",
+        *TUNING,
+        "clock_tolerance",
+        "coupling_tolerance",
+    ),
     Parameter(
         "joints", list[str], "Order of ~/commands; empty: that of the actuators of the scene.", ()
     ),
@@ -48,7 +49,7 @@ COMMON = (
         "timeout", 0.1, 1e-3, 60.0, "Silence of the joint states until the command goes safe [s]."
     ),
     tunable("safe_ramp", 0.2, 0.0, 60.0, "Time in which control and safe command change [s]."),
-    *of(ReferenceGenerator, _REFERENCE, skip=1, read_only=False),
+    *constructor_parameters(ReferenceGenerator, _REFERENCE, skip=1, read_only=False),
     Parameter(
         "constraints.trajectory",
         list[float],
@@ -89,56 +90,8 @@ COMMON = (
         "Multiple of the error bound of the law beyond which the command goes safe; 0: never.",
     ),
     tunable("failures", 20, 1, 1_000_000, "Failures of the law in a row that deactivate."),
-    *of(ChatterMeter, {"cutoff": "chatter_cutoff"}, skip=1),
+    *constructor_parameters(ChatterMeter, {"cutoff": "chatter_cutoff"}, skip=1),
 )
-
-
-def gains(values: Any) -> tuple[Any, ...]:
-    """All gains of the control law, to see whether they changed."""
-    return tuple(
-        value
-        for key, value in values._asdict().items()
-        if key.startswith(("gains_", "controller"))
-    )
-
-
-def check_lengths(values: Any, joints: ControlledJoints) -> None:
-    """Refuse a list that has neither one value nor one a joint.
-
-    Raises:
-        ParameterError: Names the parameter.
-    """
-    for key, value in values._asdict().items():
-        is_list = key.startswith(("gains_", "constraints_")) and isinstance(value, tuple)
-        if is_list and len(value) not in (1, len(joints)):
-            raise ParameterError(
-                f"parameter '{key.replace('_', '.', 1)}' has {len(value)} values; accepted: "
-                f"one, or one for each of {', '.join(joints.names)}"
-            )
-
-
-def effort_limits(values: Any, joints: ControlledJoints, actuators: Sequence[Actuator]) -> Array:
-    """Effort limits: of the description, the actuators and the parameter, the smallest.
-
-    Raises:
-        ParameterError: Not one value a joint.
-    """
-    given: tuple[float, ...] = values.effort_limit
-    limits = np.array([joint.max_effort for joint in joints.joints])
-    if actuators:
-        limits = np.minimum(limits, np.concatenate([a.limits() for a in actuators]))
-    if given and len(given) != len(limits):
-        raise ParameterError(
-            f"parameter 'effort_limit' has {len(given)} values; accepted: none, or one for "
-            f"each of {', '.join(joints.names)}"
-        )
-    return np.minimum(limits, given) if given else limits
-
-
-# ---- laws -------------------------------------------------------------------------------------
-# Laws of the controller nodes: gains as parameters, and the law that parameters describe.
-
-
 OF_QP = ("qp_tracking",)
 OTHERS = tuple(name for name in PARTS["controllers"] if name not in OF_QP)
 _WHERE = "parameter 'controller'"
@@ -155,6 +108,41 @@ def parameters(laws: Sequence[str], chosen: str, takes_code: bool) -> tuple[Para
     """
     law = Parameter("controller", str, "The control law.", chosen, choices=tuple(laws))
     return (*COMMON, law._replace(takes_code=takes_code), *_of({n: _gains(n) for n in laws}))
+
+
+def _of(laws: Mapping[str, Sequence[Argument]]) -> list[Parameter]:
+    """Gains of laws, each once, with the laws that have it."""
+    first = {gain.name: gain for gains in reversed(laws.values()) for gain in gains}
+    order = dict.fromkeys(gain.name for gains in laws.values() for gain in gains)
+    found = []
+    for name in order:
+        users = [law for law, gains in laws.items() if name in {gain.name for gain in gains}]
+        note = f" Of {', '.join(users)}." if len(laws) > 1 else ""
+        each = EACH if first[name].per_joint else ""
+        found.append(
+            argument_parameter(first[name], f"gains.{name}", note=note + each, read_only=False)
+        )
+    return found
+
+
+def _gains(law: str) -> tuple[Argument, ...]:
+    """Arguments of a law without the joints.
+
+    Raises:
+        MbdError: It is no law; what one must offer.
+    """
+    found = resolve("controllers", law, _WHERE)
+    where = f"{_WHERE}: type '{law}'"
+    if not issubclass(found, Controller) or found.effort is Controller.effort:
+        contract = f"{Controller.__module__}:Controller"
+        raise ParameterError(f"{where} must inherit {contract} and override `effort`")
+    first = next(iter(inspect.signature(found).parameters.values()), None)
+    if first is None or first.kind not in (first.POSITIONAL_ONLY, first.POSITIONAL_OR_KEYWORD):
+        raise ParameterError(f"{where} must take (joints, *, gains), joints as its first argument")
+    try:
+        return arguments(found, skip=1)
+    except ModelError as error:
+        raise ParameterError(f"{where}: {error}") from error
 
 
 def with_law(own: tuple[Parameter, ...], law: str) -> tuple[Parameter, ...]:
@@ -192,38 +180,47 @@ def build_controller(values: Any, joints: ControlledJoints) -> Controller:
     return controller
 
 
-def _gains(law: str) -> tuple[Argument, ...]:
-    """Arguments of a law without the joints.
-
-    Raises:
-        MbdError: It is no law; what one must offer.
-    """
-    found = resolve("controllers", law, _WHERE)
-    where = f"{_WHERE}: type '{law}'"
-    if not issubclass(found, Controller) or found.effort is Controller.effort:
-        contract = f"{Controller.__module__}:Controller"
-        raise ParameterError(f"{where} must inherit {contract} and override `effort`")
-    first = next(iter(inspect.signature(found).parameters.values()), None)
-    if first is None or first.kind not in (first.POSITIONAL_ONLY, first.POSITIONAL_OR_KEYWORD):
-        raise ParameterError(f"{where} must take (joints, *, gains), joints as its first argument")
-    try:
-        return arguments(found, skip=1)
-    except ModelError as error:
-        raise ParameterError(f"{where}: {error}") from error
-
-
-def _of(laws: Mapping[str, Sequence[Argument]]) -> list[Parameter]:
-    """Gains of laws, each once, with the laws that have it."""
-    first = {gain.name: gain for gains in reversed(laws.values()) for gain in gains}
-    order = dict.fromkeys(gain.name for gains in laws.values() for gain in gains)
-    found = []
-    for name in order:
-        users = [law for law, gains in laws.items() if name in {gain.name for gain in gains}]
-        note = f" Of {', '.join(users)}." if len(laws) > 1 else ""
-        each = EACH if first[name].per_joint else ""
-        found.append(parameter(first[name], f"gains.{name}", note=note + each, read_only=False))
-    return found
-
-
 def _unwrapped(value: Any) -> Any:
     return value[0] if isinstance(value, tuple) and len(value) == 1 else value
+
+
+def effort_limits(values: Any, joints: ControlledJoints, actuators: Sequence[Actuator]) -> Array:
+    """Effort limits: of the description, the actuators and the parameter, the smallest.
+
+    Raises:
+        ParameterError: Not one value a joint.
+    """
+    given: tuple[float, ...] = values.effort_limit
+    limits = np.array([joint.max_effort for joint in joints.joints])
+    if actuators:
+        limits = np.minimum(limits, np.concatenate([a.limits() for a in actuators]))
+    if given and len(given) != len(limits):
+        raise ParameterError(
+            f"parameter 'effort_limit' has {len(given)} values; accepted: none, or one for "
+            f"each of {', '.join(joints.names)}"
+        )
+    return np.minimum(limits, given) if given else limits
+
+
+def check_lengths(values: Any, joints: ControlledJoints) -> None:
+    """Refuse a list that has neither one value nor one a joint.
+
+    Raises:
+        ParameterError: Names the parameter.
+    """
+    for key, value in values._asdict().items():
+        is_list = key.startswith(("gains_", "constraints_")) and isinstance(value, tuple)
+        if is_list and len(value) not in (1, len(joints)):
+            raise ParameterError(
+                f"parameter '{key.replace('_', '.', 1)}' has {len(value)} values; accepted: "
+                f"one, or one for each of {', '.join(joints.names)}"
+            )
+
+
+def gains(values: Any) -> tuple[Any, ...]:
+    """All gains of the control law, to see whether they changed."""
+    return tuple(
+        value
+        for key, value in values._asdict().items()
+        if key.startswith(("gains_", "controller"))
+    )

@@ -1,4 +1,6 @@
-"""A built scene between messages: from a serialized joint state to a command."""
+"""From serialized joint states and references to messages with commands."""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
@@ -25,7 +27,7 @@ from mbd_ros.nodes.controller.parameters import (
     effort_limits,
     gains,
 )
-from mbd_ros.nodes.shell.messages import command_order, driven_joints
+from mbd_ros.nodes.shell.commands import command_order, driven_joints
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.reader import load_scene
@@ -34,136 +36,6 @@ from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 from msg_adapters.joint_trajectory import Trajectory
 from msg_adapters.multi_array import write_answered, write_multi_array
-
-# ---- references -------------------------------------------------------------------------------
-# Messages with references -> targets of the generator.
-
-
-class Plan(NamedTuple):
-    """A trajectory that was checked and is not followed yet.
-
-    Attributes:
-        trajectory: For the reference generator; None to stop.
-        begin: Time from which the times of its points count [s].
-        note: Joints that were mapped or left out, for people.
-    """
-
-    trajectory: ReferenceTrajectory | None
-    begin: float
-    note: str
-
-
-class References:
-    """Hands references of any joints to the reference generator of the controlled ones.
-
-    Args:
-        generator: Follows them.
-        names: Controlled joints.
-        couplings: Those of the scene.
-    """
-
-    def __init__(
-        self, generator: ReferenceGenerator, names: Sequence[str], couplings: Couplings
-    ) -> None:
-        self._generator = generator
-        self._map = ReferenceMap(names, couplings)
-        self._selections: dict[tuple[tuple[str, ...], bool], Selection] = {}
-
-    def aim(self, now: float, names: tuple[str, ...], sample: JointSample) -> str:
-        """Take a reference of one instant, `sample` in the order of `names`; returns a remark.
-
-        Raises:
-            TargetError: It is refused.
-        """
-        selection = self._selection(names, False)
-        rates = np.where(np.isfinite(sample.velocity), sample.velocity, 0.0)
-        q = selection.positions(sample.position)
-        self._generator.aim(now, Reference(q, selection.rates(rates), np.zeros(len(q))))
-        return selection.note
-
-    def plan(self, now: float, begin: float, trajectory: Trajectory) -> Plan:
-        """The plan for a trajectory with points that begins at `begin` [s].
-
-        Joints that it does not give hold their present reference.
-
-        Raises:
-            TargetError: It is refused.
-        """
-        selection, held = self._selection(trajectory.names, True), self._generator.at(now).q
-        given, rest = selection.is_given, np.zeros(len(held))
-        parts = trajectory.velocity, trajectory.acceleration
-        v, a = (
-            None if part is None else np.where(given, selection.rates(part), rest)
-            for part in parts
-        )
-        q = np.where(given, selection.positions(trajectory.position), held)
-        trajectory = self._generator.plan(now, begin + trajectory.times, q, v, a)
-        return Plan(trajectory, begin, selection.note)
-
-    def check(self, names: tuple[str, ...]) -> None:
-        """Refuse joints of a trajectory without points that are not controlled.
-
-        Raises:
-            TargetError: Names them.
-        """
-        if names:
-            self._selection(names, True)
-
-    def _selection(self, names: tuple[str, ...], partial: bool) -> Selection:
-        key = names, partial
-        if key not in self._selections:
-            self._selections = {key: self._map.select(names, partial=partial)}
-        return self._selections[key]
-
-
-# ---- pipeline ---------------------------------------------------------------------------------
-# A built scene between messages: from a serialized joint state to a command.
-
-
-# Diagnostics of a control loop.
-
-
-def loop_details(loop: ControlLoop, t: float) -> dict[str, str]:
-    """Reference, control law and hand-over at a time [s]; efforts in N·m or N, one a joint."""
-    control, limits, largest = loop.control, [], 0.0
-    if control is not None:
-        acts = zip(loop.controller.limit_names, control.active, strict=False)
-        limits = [name for name, is_active in acts if is_active]
-        largest = float(np.abs(control.s).max())
-    return {
-        "reference": loop.generator.state(t),
-        "largest |s|": f"{largest:.6g}",
-        "equivalent part": "none" if control is None else _listed(control.equivalent),
-        "chatter": _listed(loop.chatter.rms),
-        "share of the safe command": f"{loop.weight:.6g}",
-        "limits that act": ", ".join(limits) or "none",
-        "safe command": str(loop.safe),
-        "times gone safe": str(loop.lapses),
-        "updates without an answer of the law": str(loop.failures),
-        **loop.controller.details(),
-        **(_watched(loop.watch) if loop.watch is not None else {}),
-    }
-
-
-def _watched(watch: LoopWatch) -> dict[str, str]:
-    delay, is_known = watch.delay, watch.tolerable < np.inf
-    return {
-        "loop delay": "not measured" if delay is None else f"{delay:.6g} s",
-        "tolerable loop delay": f"{watch.tolerable:.6g} s" if is_known else "not known",
-        "error bounds": _listed(watch.promised) if is_known else "not known",
-        "times the loop was lost": str(watch.faults),
-    }
-
-
-def _listed(values: Array) -> str:
-    return ", ".join(f"{value:.3g}" if np.isfinite(value) else "none" for value in values)
-
-
-class ControlMessages(NamedTuple):
-    """Kept messages that answer a joint state: commands, and the state of the loop."""
-
-    commands: Any
-    state: Any
 
 
 class ControlPipeline:
@@ -253,7 +125,7 @@ class ControlPipeline:
         self.loop.restart()
         self._epoch = None
 
-    def take_over(self, other: "ControlPipeline") -> None:
+    def take_over(self, other: ControlPipeline) -> None:
         """Continue without a bump where another pipeline with the same joints was at work."""
         fits = self._controlled.names == other._controlled.names
         if fits and other.x is not None and len(other.x.q) == len(self.scene.initial.q):
@@ -402,3 +274,123 @@ class ControlPipeline:
         if self.x is None or self.loop.is_open:
             raise TargetError("reference refused: no joint state yet, or none any more")
         return self.x
+
+
+class ControlMessages(NamedTuple):
+    """Kept messages that answer a joint state: commands, and the state of the loop."""
+
+    commands: Any
+    state: Any
+
+
+class References:
+    """Hands references in messages to the reference generator of the controlled joints.
+
+    Args:
+        generator: Follows them.
+        names: Controlled joints.
+        couplings: Of the scene: a reference may name dependent joints.
+    """
+
+    def __init__(
+        self, generator: ReferenceGenerator, names: Sequence[str], couplings: Couplings
+    ) -> None:
+        self._generator = generator
+        self._map = ReferenceMap(names, couplings)
+        self._selections: dict[tuple[tuple[str, ...], bool], Selection] = {}
+
+    def aim(self, now: float, names: tuple[str, ...], sample: JointSample) -> str:
+        """Take a reference of one instant, `sample` in the order of `names`; returns a remark.
+
+        Raises:
+            TargetError: It is refused.
+        """
+        selection = self._selection(names, False)
+        rates = np.where(np.isfinite(sample.velocity), sample.velocity, 0.0)
+        q = selection.positions(sample.position)
+        self._generator.aim(now, Reference(q, selection.rates(rates), np.zeros(len(q))))
+        return selection.note
+
+    def plan(self, now: float, begin: float, trajectory: Trajectory) -> Plan:
+        """The plan for a trajectory with points that begins at `begin` [s].
+
+        Joints that it does not give hold their present reference.
+
+        Raises:
+            TargetError: It is refused.
+        """
+        selection, held = self._selection(trajectory.names, True), self._generator.at(now).q
+        given, rest = selection.is_given, np.zeros(len(held))
+        parts = trajectory.velocity, trajectory.acceleration
+        v, a = (
+            None if part is None else np.where(given, selection.rates(part), rest)
+            for part in parts
+        )
+        q = np.where(given, selection.positions(trajectory.position), held)
+        trajectory = self._generator.plan(now, begin + trajectory.times, q, v, a)
+        return Plan(trajectory, begin, selection.note)
+
+    def check(self, names: tuple[str, ...]) -> None:
+        """Refuse joints of a trajectory without points that are not controlled.
+
+        Raises:
+            TargetError: Names them.
+        """
+        if names:
+            self._selection(names, True)
+
+    def _selection(self, names: tuple[str, ...], partial: bool) -> Selection:
+        key = names, partial
+        if key not in self._selections:
+            self._selections = {key: self._map.select(names, partial=partial)}
+        return self._selections[key]
+
+
+class Plan(NamedTuple):
+    """A trajectory that was checked and is not followed yet.
+
+    Attributes:
+        trajectory: For the reference generator; None to stop.
+        begin: Time from which the times of its points count [s].
+        note: Joints that were mapped or left out, for people.
+    """
+
+    trajectory: ReferenceTrajectory | None
+    begin: float
+    note: str
+
+
+def loop_details(loop: ControlLoop, t: float) -> dict[str, str]:
+    """Diagnostics of a control loop at a time [s]; efforts in N·m or N, one a joint."""
+    control, limits, largest = loop.control, [], 0.0
+    if control is not None:
+        acts = zip(loop.controller.limit_names, control.active, strict=False)
+        limits = [name for name, is_active in acts if is_active]
+        largest = float(np.abs(control.s).max())
+    return {
+        "reference": loop.generator.state(t),
+        "largest |s|": f"{largest:.6g}",
+        "equivalent part": "none" if control is None else _listed(control.equivalent),
+        "chatter": _listed(loop.chatter.rms),
+        "share of the safe command": f"{loop.weight:.6g}",
+        "limits that act": ", ".join(limits) or "none",
+        "safe command": str(loop.safe),
+        "times gone safe": str(loop.lapses),
+        "updates without an answer of the law": str(loop.failures),
+        **loop.controller.details(),
+        **(_watched(loop.watch) if loop.watch is not None else {}),
+    }
+
+
+def _listed(values: Array) -> str:
+    return ", ".join(f"{value:.3g}" if np.isfinite(value) else "none" for value in values)
+
+
+def _watched(watch: LoopWatch) -> dict[str, str]:
+    delay, is_known = watch.delay, watch.tolerable < np.inf
+    return {
+        "loop delay": "not measured" if delay is None else f"{delay:.6g} s",
+        "tolerable loop delay": f"{watch.tolerable:.6g} s" if is_known else "not known",
+        "error bounds": _listed(watch.promised) if is_known else "not known",
+        "times the loop was lost": str(watch.faults),
+    }

@@ -1,5 +1,7 @@
 """The action `~/follow_joint_trajectory` of a controller, where control_msgs is installed."""
 
+from __future__ import annotations
+
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -21,49 +23,6 @@ from msg_adapters.follow_joint_trajectory import FeedbackWriter, read_goal
 
 NAME = "~/follow_joint_trajectory"
 ABSENT = "control_msgs is not installed (apt install ros-jazzy-control-msgs)"
-
-
-def action_type() -> Any:
-    """FollowJointTrajectory; None where control_msgs is not installed."""
-    try:
-        from control_msgs.action import FollowJointTrajectory
-    except ModuleNotFoundError as error:
-        if str(error.name).partition(".")[0] != "control_msgs":
-            raise
-        return None
-    return FollowJointTrajectory
-
-
-def tolerances(values: Any, n: int) -> Tolerances:
-    """Default tolerances of goals, from the parameters of the node; 0 is none."""
-    path, goal = (
-        np.full(n, each) for each in (values.constraints_trajectory, values.constraints_goal)
-    )
-    speed, time = values.constraints_stopped_velocity_tolerance, values.constraints_goal_time
-    none = np.full(n, np.inf)
-    return Tolerances(
-        np.where(path > 0.0, path, np.inf),
-        none,
-        np.where(goal > 0.0, goal, np.inf),
-        np.full(n, speed) if speed > 0.0 else none,
-        time if time > 0.0 else np.inf,
-    )
-
-
-class _Server(ActionServer):  # type: ignore[misc]
-    """Ends a goal as soon as its end is known, not when a waiting coroutine returns."""
-
-    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
-        if execute_callback is not None:
-            super().notify_execute(goal_handle, execute_callback)
-
-
-class _Running(NamedTuple):
-    """The goal that is followed, and its trajectory in the reference generator."""
-
-    handle: Any
-    goal: TrajectoryGoal
-    trajectory: ReferenceTrajectory
 
 
 class TrajectoryAction:
@@ -208,3 +167,46 @@ class TrajectoryAction:
             handle.abort()
         result = self._action.Result(error_code=int(outcome.code), error_string=outcome.text)
         self._server.notify_execute(handle, lambda _: result)
+
+
+class _Running(NamedTuple):
+    """The goal that is followed, and its trajectory in the reference generator."""
+
+    handle: Any
+    goal: TrajectoryGoal
+    trajectory: ReferenceTrajectory
+
+
+class _Server(ActionServer):  # type: ignore[misc]
+    """Ends a goal as soon as its end is known, not when a waiting coroutine returns."""
+
+    def notify_execute(self, goal_handle: Any, execute_callback: Any) -> None:
+        if execute_callback is not None:
+            super().notify_execute(goal_handle, execute_callback)
+
+
+def action_type() -> Any:
+    """FollowJointTrajectory; None where control_msgs is not installed."""
+    try:
+        from control_msgs.action import FollowJointTrajectory
+    except ModuleNotFoundError as error:
+        if str(error.name).partition(".")[0] != "control_msgs":
+            raise
+        return None
+    return FollowJointTrajectory
+
+
+def tolerances(values: Any, n: int) -> Tolerances:
+    """Default tolerances of goals, from the parameters of the node; 0 is none."""
+    path, goal = (
+        np.full(n, each) for each in (values.constraints_trajectory, values.constraints_goal)
+    )
+    speed, time = values.constraints_stopped_velocity_tolerance, values.constraints_goal_time
+    none = np.full(n, np.inf)
+    return Tolerances(
+        np.where(path > 0.0, path, np.inf),
+        none,
+        np.where(goal > 0.0, goal, np.inf),
+        np.full(n, speed) if speed > 0.0 else none,
+        time if time > 0.0 else np.inf,
+    )

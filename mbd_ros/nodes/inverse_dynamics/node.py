@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
@@ -11,18 +11,16 @@ from std_msgs.msg import Float64MultiArray, String
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
 from mbd_ros.methods.signals.differentiation import SampleStatus
-from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
+from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS
+from mbd_ros.nodes.inverse_dynamics.pipeline import Part, Pipeline
 from mbd_ros.nodes.shell.joint_state_stream import SENSOR, JointStateStream
 from mbd_ros.nodes.shell.robot_description import LATCHED, RobotDescription
 from mbd_ros.nodes.shell.serialized import read_load, require_size
 from mbd_ros.nodes.shell.shell import Shell
-from mbd_ros.nodes.shell.stream_parameters import PARAMETERS, tuning
+from mbd_ros.nodes.shell.stream_parameters import tuning
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample
-
-if TYPE_CHECKING:
-    from mbd_ros.nodes.inverse_dynamics.pipeline import Part
 
 POWERS = 100  # a reader may be away for 0.1 s at 1 kHz
 
@@ -148,7 +146,7 @@ class InverseDynamicsNode(Shell):
         assert self._pipeline.whole is not None
         return self._pipeline.whole.read(topic, cdr)
 
-    def _on_part(self, topic: str, read: Callable[[Any], "Part"]) -> Callable[[Any], None]:
+    def _on_part(self, topic: str, read: Callable[[Any], Part]) -> Callable[[Any], None]:
         """What takes a part of samples that come on several topics."""
 
         def take(message: Any) -> None:

@@ -8,11 +8,12 @@ from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.signals.differentiation import SampleStatus
-from mbd_ros.nodes.joint_state_projector.parameters import PARAMETERS, tuning
+from mbd_ros.nodes.joint_state_projector.parameters import PARAMETERS
 from mbd_ros.nodes.joint_state_projector.pipeline import ProjectorPipeline
 from mbd_ros.nodes.shell.joint_state_stream import JointStateStream
 from mbd_ros.nodes.shell.robot_description import RobotDescription
 from mbd_ros.nodes.shell.shell import Shell
+from mbd_ros.nodes.shell.stream_parameters import tuning
 from msg_adapters.diagnostics import OK
 from msg_adapters.joint_state import JointSample
 

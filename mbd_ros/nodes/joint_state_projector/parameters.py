@@ -1,19 +1,20 @@
 """Parameters of the node `joint_state_projector`."""
 
 from mbd_ros.methods.projection.state_projection import StateProjector
-from mbd_ros.nodes.shell.parameters import Parameter, of
-from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS
-from mbd_ros.nodes.shell.stream_parameters import tuning
-
-__all__ = ["PARAMETERS", "tuning"]
-_SHARED = (
-    *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
-    *("timeout", "clock_tolerance"),
-)
+from mbd_ros.nodes.shell.parameters import Parameter, constructor_parameters
+from mbd_ros.nodes.shell.stream_parameters import TUNING, stream_parameters
 
 PARAMETERS = (
-    *(parameter for parameter in INVERSE_DYNAMICS if parameter.name in _SHARED),
-    *of(StateProjector, {"limits": "limits", "amplification": "amplification"}, skip=1),
+    *stream_parameters(
+        "scene",
+        "allow_code",
+        *TUNING,
+        "timeout",
+        "clock_tolerance",
+    ),
+    *constructor_parameters(
+        StateProjector, {"limits": "limits", "amplification": "amplification"}, skip=1
+    ),
     Parameter(
         "violation_tolerance",
         float,

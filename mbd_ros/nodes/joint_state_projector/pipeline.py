@@ -1,4 +1,6 @@
-"""A built scene between messages: from a serialized joint state to its projection."""
+"""From serialized joint states to messages with the nearest state on the constraints."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -15,27 +17,13 @@ from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.features.estimation.state_reconstruction import StateReconstructor
 from mbd_ros.methods.projection.state_projection import ProjectedState, StateProjector
 from mbd_ros.methods.signals.differentiation import SampleStatus
-from mbd_ros.nodes.joint_state_projector.parameters import tuning
 from mbd_ros.nodes.shell.serialized import joint_state
+from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
-
-
-class ProjectorMessages(NamedTuple):
-    """Messages that answer a joint state.
-
-    Attributes:
-        states: All joints, serialized.
-        forces: One entry a row and a limit, serialized; None without any.
-        violation: Float64MultiArray of three numbers, serialized.
-    """
-
-    states: bytes
-    forces: bytes | None
-    violation: bytes
 
 
 class ProjectorPipeline:
@@ -159,6 +147,20 @@ class ProjectorPipeline:
             return []
         pairs = zip(self.reconstructor.names, self._newest.limit_multipliers, strict=True)
         return [name for name, force in pairs if force != 0.0]
+
+
+class ProjectorMessages(NamedTuple):
+    """Messages that answer a joint state.
+
+    Attributes:
+        states: All joints, serialized.
+        forces: One entry a row and a limit, serialized; None without any.
+        violation: Float64MultiArray of three numbers, serialized.
+    """
+
+    states: bytes
+    forces: bytes | None
+    violation: bytes
 
 
 def _largest(values: Array) -> float:

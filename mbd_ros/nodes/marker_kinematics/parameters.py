@@ -1,13 +1,10 @@
 """Parameters of the node `marker_kinematics`."""
 
 from mbd_ros.nodes.shell.parameters import Parameter
-from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS
-from mbd_ros.nodes.shell.stream_parameters import tunable
-
-_SHARED = ("scene", "allow_code", "cutoff", "rewind", "clock_tolerance")
+from mbd_ros.nodes.shell.stream_parameters import stream_parameters, tunable
 
 PARAMETERS = (
-    *(parameter for parameter in INVERSE_DYNAMICS if parameter.name in _SHARED),
+    *stream_parameters("scene", "allow_code", "cutoff", "rewind", "clock_tolerance"),
     Parameter(
         "task",
         str,

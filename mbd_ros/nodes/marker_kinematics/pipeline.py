@@ -1,4 +1,6 @@
-"""A built scene between messages: from places of markers to joint states."""
+"""From places of markers to messages with the joint states that fit them best."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -19,18 +21,6 @@ from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 RESIDUALS = ("rms", "max", "objective")  # in the layout of the message
 _SEEK = 64  # frames that miss by too much, at most, between two searches from nothing
 _UNUSED = (SampleStatus.OLD, SampleStatus.JUMP, SampleStatus.NOT_FINITE)
-
-
-class MarkerMessages(NamedTuple):
-    """Messages that answer markers.
-
-    Attributes:
-        states: All joints, serialized.
-        residuals: Float64MultiArray of `RESIDUALS`, serialized.
-    """
-
-    states: bytes
-    residuals: bytes
 
 
 class MarkerPipeline:
@@ -159,3 +149,15 @@ class MarkerPipeline:
             return "none"
         i = int(np.argmax(self._apart))
         return f"{self.solver.labels[i]} by {self._apart[i]:.6g} m"
+
+
+class MarkerMessages(NamedTuple):
+    """Messages that answer markers.
+
+    Attributes:
+        states: All joints, serialized.
+        residuals: Float64MultiArray of `RESIDUALS`, serialized.
+    """
+
+    states: bytes
+    residuals: bytes

@@ -1,15 +1,16 @@
 """Parameters of the node `payload_estimator`."""
 
 from mbd_ros.nodes.shell.parameters import Parameter
-from mbd_ros.nodes.shell.stream_parameters import STREAM, tunable
-
-_SHARED = (
-    *("scene", "allow_code", "cutoff", "velocity_margin", "patience", "max_age", "rewind"),
-    *("timeout", "clock_tolerance"),
-)
+from mbd_ros.nodes.shell.stream_parameters import TUNING, stream_parameters, tunable
 
 PARAMETERS = (
-    *(parameter for parameter in STREAM if parameter.name in _SHARED),
+    *stream_parameters(
+        "scene",
+        "allow_code",
+        *TUNING,
+        "timeout",
+        "clock_tolerance",
+    ),
     Parameter("frame", str, "Link that carries the payload; empty: the last one.", ""),
     tunable("memory", 10.0, 0.1, 1e4, "Time after which samples count 1/e [s]."),
     tunable("largest_mass", 10.0, 1e-6, 1e6, "Mass that may be expected [kg]."),

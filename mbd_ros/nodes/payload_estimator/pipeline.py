@@ -1,4 +1,6 @@
-"""A built scene between messages: from joint states to what the robot carries."""
+"""From serialized joint states with efforts to mass and inertia of what the robot carries."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -19,23 +21,6 @@ from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader
-
-
-class Carried(NamedTuple):
-    """What the robot carries, in the axes of the link.
-
-    Attributes:
-        mass: [kg].
-        centre: Mass centre [m], three numbers.
-        moments: About the mass centre: xx, xy, xz, yy, yz, zz [kg·m^2].
-        covariance: Of mass, mass times centre, and xx, xy, yy, xz, yz, zz about the origin of the
-            link, row by row, 100 numbers.
-    """
-
-    mass: float
-    centre: list[float]
-    moments: list[float]
-    covariance: list[float]
 
 
 class PayloadPipeline:
@@ -144,6 +129,23 @@ class PayloadPipeline:
 
     def _hidden(self) -> list[str]:
         return [name for name, there in zip(PLACES, self.estimate.shown, strict=True) if not there]
+
+
+class Carried(NamedTuple):
+    """What the robot carries, in the axes of the link.
+
+    Attributes:
+        mass: [kg].
+        centre: Mass centre [m], three numbers.
+        moments: About the mass centre: xx, xy, xz, yy, yz, zz [kg·m^2].
+        covariance: Of mass, mass times centre, and xx, xy, yy, xz, yz, zz about the origin of the
+            link, row by row, 100 numbers.
+    """
+
+    mass: float
+    centre: list[float]
+    moments: list[float]
+    covariance: list[float]
 
 
 def _refuse(scene: Scene) -> None:

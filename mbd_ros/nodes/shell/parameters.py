@@ -1,4 +1,6 @@
-"""A parameter of a node: its name, what it means and which values it accepts."""
+"""Parameters of nodes: what each means and accepts, how a node declares and changes them."""
+
+from __future__ import annotations
 
 import difflib
 import math
@@ -14,13 +16,6 @@ from rclpy.node import Node
 
 from mbd_ros.errors import MbdError
 from mbd_ros.scene.schema.schema import Argument, arguments
-
-# ---- parameters -------------------------------------------------------------------------------
-# A parameter of a node: its name, what it means and which values it accepts.
-
-
-class ParameterError(MbdError):
-    """A parameter value that is refused: names the parameter and what is accepted."""
 
 
 class Parameter(NamedTuple):
@@ -130,68 +125,6 @@ PARAMETERS = (
         fixed=True,
     ),
 )
-
-
-# ---- constructor parameters -------------------------------------------------------------------
-# Parameters that follow from the arguments of constructors.
-
-
-def of(
-    constructor: Callable[..., Any],
-    names: Mapping[str, str],
-    *,
-    skip: int = 0,
-    read_only: bool = True,
-) -> tuple[Parameter, ...]:
-    """Parameters whose values become arguments of a constructor.
-
-    Args:
-        constructor: Where kind, default, range, unit and text stand.
-        names: Argument -> name of the parameter.
-        skip: So many first arguments come from elsewhere.
-        read_only: See `Parameter`.
-    """
-    found = {argument.name: argument for argument in arguments(constructor, skip, tuple(names))}
-    return tuple(
-        parameter(found[argument], name, read_only=read_only) for argument, name in names.items()
-    )
-
-
-def parameter(
-    argument: Argument, name: str, *, note: str = "", read_only: bool = True
-) -> Parameter:
-    """The parameter whose value becomes an argument of a constructor.
-
-    Args:
-        argument: Kind, default, range, choices, unit and text.
-        name: Of the parameter.
-        note: Sentences after the text.
-        read_only: See `Parameter`.
-    """
-    kind, default = argument.kind, argument.default
-    if argument.per_joint:
-        kind = list[kind]  # type: ignore[valid-type]
-        is_one = isinstance(default, int | float)
-        default = (float(default),) if is_one else default and tuple(default)
-    text = argument.text.removesuffix(".")
-    unit = f"[{argument.unit}]" if argument.unit not in ("", "-") else ""
-    words = (text, "" if unit in text else unit)
-    return Parameter(
-        name,
-        kind,
-        " ".join(word for word in words if word) + "." + note,
-        default,
-        low=argument.low,
-        high=argument.high,
-        choices=argument.choices,
-        read_only=read_only,
-    )
-
-
-# ---- declared ---------------------------------------------------------------------------------
-# ROS parameters with strict values: what a node declares, and what it makes of changes.
-
-
 _ROS_TYPES = {
     bool: ros.Parameter.Type.BOOL,
     int: ros.Parameter.Type.INTEGER,
@@ -204,8 +137,12 @@ _ROS_TYPES = {
 }
 
 
+class ParameterError(MbdError):
+    """A parameter value that is refused: names the parameter and what is accepted."""
+
+
 class Declared:
-    """The parameters of one node.
+    """The ROS parameters of one node, with strict values.
 
     Attributes:
         values: Named tuple of all values; replaced as a whole, never changed.
@@ -337,3 +274,56 @@ class Declared:
                     f"parameter '{spec.name}' is read-only while the node is configured; "
                     "clean up, set it, then configure"
                 )
+
+
+def constructor_parameters(
+    constructor: Callable[..., Any],
+    names: Mapping[str, str],
+    *,
+    skip: int = 0,
+    read_only: bool = True,
+) -> tuple[Parameter, ...]:
+    """Parameters whose values become arguments of a constructor.
+
+    Args:
+        constructor: Where kind, default, range, unit and text stand.
+        names: Argument -> name of the parameter.
+        skip: So many first arguments come from elsewhere.
+        read_only: See `Parameter`.
+    """
+    found = {argument.name: argument for argument in arguments(constructor, skip, tuple(names))}
+    return tuple(
+        argument_parameter(found[argument], name, read_only=read_only)
+        for argument, name in names.items()
+    )
+
+
+def argument_parameter(
+    argument: Argument, name: str, *, note: str = "", read_only: bool = True
+) -> Parameter:
+    """The parameter whose value becomes an argument of a constructor.
+
+    Args:
+        argument: Kind, default, range, choices, unit and text.
+        name: Of the parameter.
+        note: Sentences after the text.
+        read_only: See `Parameter`.
+    """
+    kind, default = argument.kind, argument.default
+    if argument.per_joint:
+        kind = list[kind]  # type: ignore[valid-type]
+        is_one = isinstance(default, int | float)
+        default = (float(default),) if is_one else default and tuple(default)
+    text = argument.text.removesuffix(".")
+    unit = f"[{argument.unit}]" if argument.unit not in ("", "-") else ""
+    words = (text, "" if unit in text else unit)
+    return Parameter(
+        name,
+        kind,
+        " ".join(word for word in words if word) + "." + note,
+        default,
+        low=argument.low,
+        high=argument.high,
+        choices=argument.choices,
+        read_only=read_only,
+    )

@@ -1,5 +1,7 @@
 """The process of a node: starts it, drives its callbacks, ends it on a signal or a crash."""
 
+from __future__ import annotations
+
 import gc
 import signal
 import sys
@@ -21,78 +23,13 @@ from mbd_ros.errors import BAD_INPUT
 from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter
 from mbd_ros.nodes.shell.shell import Shell
 
-# Words after the name of a node's executable: --help, and words that nobody reads.
-
 _HELP = ("-h", "--help")
-
-
-def asks_for_help(arguments: Sequence[str], name: str) -> bool:
-    """Whether somebody wants to read the usage.
-
-    Args:
-        arguments: Command line with program name.
-        name: Of the node.
-
-    Raises:
-        SystemExit: 2 after naming a word that is neither ROS's nor a wish for help.
-        RCLError: A command line or parameter file that rcl refuses.
-    """
-    words = remove_ros_args(list(arguments))[1:]
-    if any(word in _HELP for word in words):
-        return True
-    if words:
-        sys.stderr.write(
-            f"{name}: unknown argument '{words[0]}'; accepted: --help, and after --ros-args what "
-            f"ROS takes: -p scene:=SCENE, --params-file FILE, -r FROM:=TO\n"
-        )
-        raise SystemExit(BAD_INPUT)
-    return False
-
-
-def usage(name: str, parameters: Sequence[Parameter]) -> str:
-    """Text for --help: how to start the node, and every parameter with its default."""
-    from mbd_ros.nodes.shell.params_file import meaning  # here, since nodes start without it
-
-    lines = [
-        f"usage: ros2 run mbd_ros {name} --ros-args -p scene:=SCENE [-p NAME:=VALUE] "
-        "[--params-file FILE] [-r FROM:=TO]",
-        "",
-        "parameters:",
-    ]
-    for parameter in parameters:
-        default = parameter.default
-        shown = list(default) if isinstance(default, tuple) else default
-        given = "required" if default is None else f"default {str(shown).replace('True', 'true')}"
-        lines.append(f"  {parameter.name} ({given.replace('False', 'false')})")
-        lines += textwrap.wrap(
-            meaning(parameter), 92, initial_indent=" " * 6, subsequent_indent=" " * 6
-        )
-    return "\n".join(lines) + "\n"
-
-
 _REFUSALS = (
     rclpy_implementation.RCLError,
     rclpy_implementation.UnknownROSArgsError,
     ParameterException,
 )
 PATIENCE = 0.1  # [s] that a signal waits at most: an executor does not wake up for one
-
-
-class _StopSignal:
-    """Remembers SIGINT and SIGTERM; launch and terminals send two, the second is no news."""
-
-    def __init__(self) -> None:
-        self.name = ""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._remember)
-
-    def ignore(self) -> None:
-        """From now on no signal matters: the interpreter would take it for the default and die."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, signal.SIG_IGN)
-
-    def _remember(self, number: int, frame: FrameType | None) -> None:
-        self.name = signal.Signals(number).name
 
 
 def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
@@ -149,6 +86,18 @@ def _refused(name: str) -> Iterator[None]:
 
 
 @contextmanager
+def _closing(node: Shell) -> Iterator[None]:
+    try:
+        yield
+    finally:
+        try:
+            node.close(sys.exc_info()[1])
+        finally:
+            node.destroy_node()
+            rclpy.try_shutdown()
+
+
+@contextmanager
 def _driven(node: Shell) -> Iterator[Executor]:
     events = node.parameters.executor != "single_threaded"
     executor = EventsExecutor() if events else SingleThreadedExecutor()
@@ -159,13 +108,62 @@ def _driven(node: Shell) -> Iterator[Executor]:
         executor.remove_node(node)
 
 
-@contextmanager
-def _closing(node: Shell) -> Iterator[None]:
-    try:
-        yield
-    finally:
-        try:
-            node.close(sys.exc_info()[1])
-        finally:
-            node.destroy_node()
-            rclpy.try_shutdown()
+def asks_for_help(arguments: Sequence[str], name: str) -> bool:
+    """Whether somebody wants to read the usage.
+
+    Args:
+        arguments: Command line with program name.
+        name: Of the node.
+
+    Raises:
+        SystemExit: 2 after naming a word that is neither ROS's nor a wish for help.
+        RCLError: A command line or parameter file that rcl refuses.
+    """
+    words = remove_ros_args(list(arguments))[1:]
+    if any(word in _HELP for word in words):
+        return True
+    if words:
+        sys.stderr.write(
+            f"{name}: unknown argument '{words[0]}'; accepted: --help, and after --ros-args what "
+            f"ROS takes: -p scene:=SCENE, --params-file FILE, -r FROM:=TO\n"
+        )
+        raise SystemExit(BAD_INPUT)
+    return False
+
+
+def usage(name: str, parameters: Sequence[Parameter]) -> str:
+    """Text for --help: how to start the node, and every parameter with its default."""
+    from mbd_ros.nodes.shell.params_file import meaning  # here, since nodes start without it
+
+    lines = [
+        f"usage: ros2 run mbd_ros {name} --ros-args -p scene:=SCENE [-p NAME:=VALUE] "
+        "[--params-file FILE] [-r FROM:=TO]",
+        "",
+        "parameters:",
+    ]
+    for parameter in parameters:
+        default = parameter.default
+        shown = list(default) if isinstance(default, tuple) else default
+        given = "required" if default is None else f"default {str(shown).replace('True', 'true')}"
+        lines.append(f"  {parameter.name} ({given.replace('False', 'false')})")
+        lines += textwrap.wrap(
+            meaning(parameter), 92, initial_indent=" " * 6, subsequent_indent=" " * 6
+        )
+    return "\n".join(lines) + "\n"
+
+
+class _StopSignal:
+    """Remembers SIGINT and SIGTERM; launch and terminals send two, the second is no news."""
+
+    def __init__(self) -> None:
+        self.name = ""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._remember)
+
+    def ignore(self) -> None:
+        """From now on no signal matters: the interpreter would take it for the default and die."""
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, signal.SIG_IGN)
+
+    def _remember(self, number: int, frame: FrameType | None) -> None:
+        self.name = signal.Signals(number).name

@@ -1,4 +1,4 @@
-"""Serialized messages as the transport delivers them, external loads among them.
+"""Serialized messages as the transport delivers them.
 
 Nodes take bytes of every type. rclpy itself drops bytes that it cannot deserialize without a
 trace, and turns messages that are too large into objects first.
@@ -16,10 +16,6 @@ from mbd_ros.scene.reading.part_entries import MeasuredWrench
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_trajectory_cdr import require_points
 from msg_adapters.wrench import WrenchSample, read_wrench
-
-# ---- serialized -------------------------------------------------------------------------------
-# Serialized messages as the transport delivers them -> messages.
-
 
 LARGEST = 262_144  # bytes: 4000 joints
 _LARGER = {String: 2**26, JointTrajectory: 2**24}  # bytes; a scene says itself what is too long
@@ -52,20 +48,12 @@ def require_size(cdr: bytes, kind: type) -> None:
 
 
 def joint_state(cdr: bytes) -> Any:
-    """The JointState of these bytes.
-
-    Raises:
-        MessageError: As `message_of`.
-    """
+    """The JointState of these bytes; MessageError as `message_of`."""
     return message_of(cdr, JointState)
 
 
-# ---- wrenches ---------------------------------------------------------------------------------
-# Messages of external loads.
-
-
 def read_load(msg: Any, wrench: MeasuredWrench) -> WrenchSample:
-    """The sample of a WrenchStamped.
+    """The sample of a WrenchStamped of an external load.
 
     Raises:
         MessageError: It names the load: a frame other than that of the scene, or a component that

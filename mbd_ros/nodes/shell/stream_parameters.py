@@ -1,17 +1,11 @@
-"""Parameters of the node `inverse_dynamics`."""
+"""Parameters that nodes share which answer joint states."""
 
 from typing import Any
 
-from mbd_ros.methods.inverse_dynamics.standing import Nearness
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Tuning
-from mbd_ros.nodes.shell.parameters import Parameter, of
+from mbd_ros.nodes.shell.parameters import Parameter, constructor_parameters
 
-
-def tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:
-    """A number that may change while the node runs."""
-    return Parameter(name, type(default), text, default, low=low, high=high, read_only=False)
-
-
+TUNING = Tuning._fields
 ALLOW_CODE = Parameter(
     "allow_code",
     bool,
@@ -19,10 +13,17 @@ ALLOW_CODE = Parameter(
     False,
     fixed=True,
 )
+
+
+def tunable(name: str, default: float, low: float, high: float, text: str) -> Parameter:
+    """A number that may change while the node runs."""
+    return Parameter(name, type(default), text, default, low=low, high=high, read_only=False)
+
+
 STREAM = (
     Parameter("scene", str, "Scene: a file, or the name of an embedded one."),
     ALLOW_CODE,
-    *of(Tuning, {name: name for name in Tuning._fields}, read_only=False),
+    *constructor_parameters(Tuning, {name: name for name in TUNING}, read_only=False),
     tunable(
         "timeout", 0.5, 1e-3, 3600.0, "Age of the newest joint state that is reported STALE [s]."
     ),
@@ -56,41 +57,13 @@ STREAM = (
         high=60.0,
     ),
 )
-PARAMETERS = (
-    *STREAM,
-    Parameter("power", bool, "Publish powers and their balance on ~/power.", False),
-    Parameter(
-        "stance",
-        str,
-        "Forces of rigid contacts that no wrench gives: 0, or unknowns with the least efforts.",
-        "none",
-        choices=("none", "minimum-norm"),
-    ),
-    Parameter(
-        "phase_topic",
-        str,
-        "Topic of the name of the phase, whose contacts are on the ground; empty for geometry.",
-        "",
-    ),
-    Parameter(
-        "stance_gap",
-        float,
-        "Largest gap of what is on the ground, as a multiple of the size [-].",
-        Nearness().gap,
-        low=0.0,
-        high=1.0,
-    ),
-    Parameter(
-        "stance_speed",
-        float,
-        "Largest speed of it along the normal, of the root of gravity times size [-].",
-        Nearness().speed,
-        low=0.0,
-        high=100.0,
-    ),
-)
+
+
+def stream_parameters(*names: str) -> tuple[Parameter, ...]:
+    """Those of `STREAM` with these names."""
+    return tuple(parameter for parameter in STREAM if parameter.name in names)
 
 
 def tuning(values: Any) -> Tuning:
     """The part of the parameters that tunes the estimator."""
-    return Tuning(*(getattr(values, field) for field in Tuning._fields))
+    return Tuning(*(getattr(values, field) for field in TUNING))

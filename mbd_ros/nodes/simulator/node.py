@@ -1,12 +1,9 @@
 """Node `simulator`: commands in, the motion of a scene out, tick by tick."""
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from rclpy.executors import Executor
 from rclpy.qos import HistoryPolicy, QoSProfile
@@ -18,7 +15,8 @@ from mbd_ros.errors import DivergedError, MbdError
 from mbd_ros.nodes.shell.joint_state_stream import SENSOR
 from mbd_ros.nodes.shell.robot_description import RobotDescription
 from mbd_ros.nodes.shell.shell import Shell
-from mbd_ros.nodes.simulator.outputs import SimulatedClock, SimulatorOutputs
+from mbd_ros.nodes.simulator.outputs import ClockTopic, SimulatorOutputs
+from mbd_ros.nodes.simulator.pace import Pace, wake_exactly
 from mbd_ros.nodes.simulator.parameters import PARAMETERS
 from mbd_ros.nodes.simulator.plant import Plant
 from msg_adapters.diagnostics import OK, WARN
@@ -26,241 +24,16 @@ from msg_adapters.errors import MessageError
 from msg_adapters.multi_array import read_answered
 from msg_adapters.time import NANOSECONDS
 
-# ---- pace -------------------------------------------------------------------------------------
-# The rhythm of a node that ticks: when the next tick is due, and how late the last ones were.
-
-
-# An executor wakes up some 0.1 ms late, and an rclpy timer with it. Here it is asked for this much
-# too early, and a loop waits for the rest. More would cost more CPU than it brings: where cores
-# are short, who computes less is woken sooner.
-MARGIN = 2.0e-4  # s
-_HEARING = 1.0e-3  # [s] without callbacks at most, also while ticks are late
-_HEARD = 8  # callbacks at a time then
-PATIENCE = 0.1  # [s] that late ticks may catch up, and that a wait lasts at most
-
-
-def wake_exactly(is_exact: bool = True) -> None:
-    """Ask Linux to wake the main thread when it is due, not up to 50 us later as by default."""
-    with suppress(OSError):  # no Linux, or not allowed: ticks are late a little more often
-        Path("/proc/self/timerslack_ns").write_text("1" if is_exact else "0")
-
-
-class Pace:
-    """Ticks on a grid of the steady clock; late ones catch up, those too late move the grid.
-
-    Args:
-        period: Simulated time of a tick [s].
-        factor: Simulated seconds per second; 0 is as fast as possible.
-
-    Attributes:
-        due: When the next tick begins, on the clock of `perf_counter` [s].
-        factor: As given.
-        overruns: Ticks that ended after the next one was due.
-        given_up: By how much the grid was moved since the start [s].
-    """
-
-    def __init__(self, period: float, factor: float) -> None:
-        self._period = period
-        self.overruns, self.given_up = 0, 0.0
-        self._is_interrupted = False
-        self.restart(factor)
-
-    def restart(self, factor: float | None = None) -> None:
-        """Begin now, with nothing to catch up; the counts stay."""
-        if factor is not None:
-            self.factor = factor
-            self._interval = self._period / factor if factor > 0.0 else 0.0
-        self.due = self._heard = perf_counter()
-        self.open_window()
-
-    def skip(self) -> None:
-        """Leave the present tick out."""
-        self.due += self._interval
-
-    def open_window(self) -> None:
-        """Begin a new period of `reached` and `lateness`."""
-        self._since, self._given_up_before = perf_counter(), self.given_up
-        self._lateness: list[float] = []
-
-    def wait(self, executor: Executor) -> bool:
-        """Handle callbacks until the next tick is due: True; False to wait again."""
-        now = perf_counter()
-        spare = self.due - now - MARGIN
-        if spare > PATIENCE:
-            self.idle(executor, PATIENCE)
-            return False  # a signal must not wait for the next tick
-        if spare > 0.0:
-            is_due = self.idle(executor, spare)
-        else:
-            is_due = now - self._heard <= _HEARING or self._hear(executor)
-        if not is_due:
-            return False
-        while (now := perf_counter()) < self.due:
-            pass
-        self._lateness.append(now - self.due)
-        return True
-
-    def idle(self, executor: Executor, seconds: float) -> bool:
-        """Handle callbacks for so long [s]: True, or until `interrupt`: False."""
-        self._is_interrupted, end = False, perf_counter() + seconds
-        # Not spin_until_future_complete: that of an EventsExecutor loses 32 bytes a call.
-        while not self._is_interrupted and (left := end - perf_counter()) > 0.0:
-            executor.spin_once(timeout_sec=left)
-        self._heard = perf_counter()
-        return not self._is_interrupted
-
-    def interrupt(self) -> None:
-        """End a `wait` or `idle` from within a callback that it handles."""
-        self._is_interrupted = True
-
-    def _hear(self, executor: Executor) -> bool:
-        """Handle some callbacks that wait: True, or until `interrupt`: False."""
-        self._is_interrupted, count = False, 0
-        while not self._is_interrupted and count < _HEARD:
-            executor.spin_once(timeout_sec=0.0)
-            count += 1
-        self._heard = perf_counter()
-        return not self._is_interrupted
-
-    def ticked(self) -> None:
-        """A tick is done: set the time of the next."""
-        now = perf_counter()
-        self.due += self._interval
-        late = now - self.due
-        if self._interval == 0.0:
-            self.due = now
-        elif late > 0.0:
-            self.overruns += 1
-            if late > PATIENCE:
-                self.given_up += late
-                self.due = now
-
-    @property
-    def ticks(self) -> int:
-        """Ticks in this window."""
-        return len(self._lateness)
-
-    @property
-    def reached(self) -> float:
-        """Simulated seconds per second in this window."""
-        return self.ticks * self._period / max(perf_counter() - self._since, 1e-9)
-
-    @property
-    def lateness(self) -> float:
-        """By how much 99 % of the ticks of this window began late at most [s]."""
-        return float(np.percentile(self._lateness, 99)) if self._lateness else 0.0
-
-    @property
-    def lag(self) -> str:
-        """The lag of the factor in this window."""
-        reached = f"real-time factor {self.reached:.3f} instead of {self.factor:g}"
-        return f"lagging: {reached}, {self.overruns} overruns"
-
-    def details(self, is_running: bool) -> dict[str, str]:
-        """How time was kept in this window, for diagnostics."""
-        asked = f"{self.factor:g}" if self.factor else "0 (as fast as possible)"
-        return {
-            "real-time factor asked": asked,
-            "real-time factor reached": f"{self.reached:.3f}" if is_running else "standing",
-            "ticks since the last report": str(self.ticks),
-            "lateness of 99 % of the ticks": f"{self.lateness:.6f}",
-            "overruns": str(self.overruns),
-            "time given up": f"{self.given_up:.3f}",
-        }
-
-    @property
-    def is_lagging(self) -> bool:
-        """Whether the factor was not kept in this window: time was given up, or is about to be."""
-        late = perf_counter() - self.due
-        return self.factor > 0.0 and (self.given_up > self._given_up_before or late > PATIENCE / 2)
-
-
-# ---- standing ---------------------------------------------------------------------------------
-# A simulator while time stands: it shows its state again, and takes no answer twice.
-
-
-REPEAT = 0.2  # [s] without a command until the state that waits for one is shown again, at least
-ARRIVAL = 0.5  # [s] for which the state is repeated for a new listener
-LATE = 0.5  # [s] without a command that count as a fault
-_SLACK = 3.0  # of the slowest answer so far: a slow controller is no loss
-_FORGET = 0.9  # of that answer, a command
-
-
-class Standing:
-    """The state that waits: listeners that have not seen it, and commands that answered it.
-
-    A message may be lost, and a listener may come late. While time stands no later state makes up
-    for it, so the same state is shown again: for `ARRIVAL` when a listener appears, and in lock
-    step whenever no command comes. A controller may then answer one state twice. The second answer
-    must not advance time, or the loop would run a tick late for ever. Commands carry the stamp of
-    the state that they answer, which separates them.
-
-    Attributes:
-        repeats: How often a state was shown again.
-        doubled: Commands not taken: the state that they answer was answered before.
-    """
-
-    def __init__(self) -> None:
-        self.repeats = self.doubled = 0
-        self._listeners, self._until = 0, 0.0
-        self._slowest = 0.0
-        self._stamps: set[int] = set()
-        self._answered: set[int] = set()
-        self._since = self._shown = perf_counter()
-
-    def show(self, stamp: int) -> None:
-        """A new state is shown under a stamp [ns]; answers to the one before come too late."""
-        self._answered, self._stamps = self._stamps - {stamp}, {stamp}
-        self._since = self._shown = perf_counter()
-
-    def show_again(self, stamp: int) -> None:
-        """The same state is shown under a stamp [ns]."""
-        self.repeats += 1
-        self._stamps.add(stamp)
-        self._shown = perf_counter()
-
-    def takes(self, answered: int | None) -> bool:
-        """Whether a command counts.
-
-        Args:
-            answered: Stamp of the state that it answers [ns]; None where it does not say so.
-        """
-        if answered in self._answered:
-            self.doubled += 1
-            return False
-        latency = perf_counter() - self._shown
-        self._slowest = max(latency, _FORGET * self._slowest)
-        return True
-
-    def is_wanted(self, listeners: int, is_lock_step: bool) -> bool:
-        """Whether the state should be shown again now.
-
-        Args:
-            listeners: How many there are.
-            is_lock_step: Whether a command is waited for.
-        """
-        now = perf_counter()
-        if listeners > self._listeners:
-            self._until = now + ARRIVAL
-        self._listeners = listeners
-        is_late = now - self._shown >= max(REPEAT, _SLACK * self._slowest)
-        return now < self._until or (is_lock_step and is_late)
-
-    @property
-    def waited(self) -> float:
-        """For how long the newest state has waited for its command [s]."""
-        return perf_counter() - self._since
-
-
-# ---- node -------------------------------------------------------------------------------------
-# Node `simulator`: commands in, the motion of a scene out, tick by tick.
-
-
 # The depth bridges a pause of 0.5 s at 1 kHz. In lock step every command is a tick, however many
 # are waiting: a full reader then refuses them, and the writer sends them again.
 COMMANDS = QoSProfile(depth=500)
 EVERY_COMMAND = QoSProfile(history=HistoryPolicy.KEEP_ALL)
 STANDING = 0.1  # s between looks for who comes late, while time stands
+LATE = 0.5  # [s] without a command that count as a fault
+REPEAT = 0.2  # [s] without a command until the state that waits for one is shown again, at least
+ARRIVAL = 0.5  # [s] for which the state is repeated for a new listener
+_SLACK = 3.0  # of the slowest answer so far: a slow controller is no loss
+_FORGET = 0.9  # of that answer, a command
 
 
 class SimulatorNode(Shell):
@@ -269,7 +42,7 @@ class SimulatorNode(Shell):
     NAME = "simulator"
     PARAMETERS = PARAMETERS
     _plant: Plant
-    _simulated_clock: SimulatedClock | None = None  # of this activation
+    _clock_topic: ClockTopic | None = None  # of this activation
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
         super().__init__(argv)
@@ -324,14 +97,14 @@ class SimulatorNode(Shell):
         if self._plant.live.fault:
             raise DivergedError(f"{self._plant.live.fault}; call ~/reset first")
         if self.parameters.publish_clock:
-            self._simulated_clock = SimulatedClock(self)
+            self._clock_topic = ClockTopic(self)
         self.every(STANDING, self._stand)
         self._restart()
         self._publish(self._begun)
 
     def deactivate_core(self) -> None:
         """Stand still, and let the clock end."""
-        self._simulated_clock = None
+        self._clock_topic = None
         self._pace.interrupt()
 
     def retune(self, values: Any) -> None:
@@ -399,8 +172,8 @@ class SimulatorNode(Shell):
         if self.parameters.publish_clock:
             stamp = self._plant.time
         try:
-            if self._simulated_clock is not None:
-                self._simulated_clock.show(stamp)
+            if self._clock_topic is not None:
+                self._clock_topic.show(stamp)
             self._standing.show(stamp)
             self._outputs.publish(stamp, self.parameters)
         except MessageError as error:
@@ -485,3 +258,69 @@ class SimulatorNode(Shell):
         else:
             response.message = self.fault or f"the node is {self.state}"
         return response
+
+
+class Standing:
+    """The state that waits: listeners that have not seen it, and commands that answered it.
+
+    A message may be lost, and a listener may come late. While time stands no later state makes up
+    for it, so the same state is shown again: for `ARRIVAL` when a listener appears, and in lock
+    step whenever no command comes. A controller may then answer one state twice. The second answer
+    must not advance time, or the loop would run a tick late for ever. Commands carry the stamp of
+    the state that they answer, which separates them.
+
+    Attributes:
+        repeats: How often a state was shown again.
+        doubled: Commands not taken: the state that they answer was answered before.
+    """
+
+    def __init__(self) -> None:
+        self.repeats = self.doubled = 0
+        self._listeners, self._until = 0, 0.0
+        self._slowest = 0.0
+        self._stamps: set[int] = set()
+        self._answered: set[int] = set()
+        self._since = self._shown = perf_counter()
+
+    def show(self, stamp: int) -> None:
+        """A new state is shown under a stamp [ns]; answers to the one before come too late."""
+        self._answered, self._stamps = self._stamps - {stamp}, {stamp}
+        self._since = self._shown = perf_counter()
+
+    def show_again(self, stamp: int) -> None:
+        """The same state is shown under a stamp [ns]."""
+        self.repeats += 1
+        self._stamps.add(stamp)
+        self._shown = perf_counter()
+
+    def takes(self, answered: int | None) -> bool:
+        """Whether a command counts.
+
+        Args:
+            answered: Stamp of the state that it answers [ns]; None where it does not say so.
+        """
+        if answered in self._answered:
+            self.doubled += 1
+            return False
+        latency = perf_counter() - self._shown
+        self._slowest = max(latency, _FORGET * self._slowest)
+        return True
+
+    def is_wanted(self, listeners: int, is_lock_step: bool) -> bool:
+        """Whether the state should be shown again now.
+
+        Args:
+            listeners: How many there are.
+            is_lock_step: Whether a command is waited for.
+        """
+        now = perf_counter()
+        if listeners > self._listeners:
+            self._until = now + ARRIVAL
+        self._listeners = listeners
+        is_late = now - self._shown >= max(REPEAT, _SLACK * self._slowest)
+        return now < self._until or (is_lock_step and is_late)
+
+    @property
+    def waited(self) -> float:
+        """For how long the newest state has waited for its command [s]."""
+        return perf_counter() - self._since

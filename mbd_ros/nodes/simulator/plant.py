@@ -1,124 +1,41 @@
 """A built scene between commands and the messages that show its motion."""
 
-from collections.abc import Callable, Sequence
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pinocchio import FrameType
+import pinocchio as pin
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mbd_ros.core.contracts import without_multiplier
 from mbd_ros.core.dynamics.tiers import tier_of
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.state import Array
+from mbd_ros.errors import ModelError
 from mbd_ros.files.topics import WORLD, by_member
 from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
-from mbd_ros.nodes.shell.messages import command_reader
+from mbd_ros.nodes.shell.commands import command_reader
+from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.shell.serialized import read_load
 from mbd_ros.scene.built_scene import Scene, Tell
 from mbd_ros.scene.reader import load_scene
+from msg_adapters.errors import MessageError, listed
 from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.time import NANOSECONDS
+from msg_adapters.wrench import read_wrench
 
 if TYPE_CHECKING:
     from mbd_ros.files.table import Table
     from mbd_ros.methods.events.event import Event
     from mbd_ros.methods.simulation.simulation import Simulation
-    from mbd_ros.nodes.simulator.outputs import Drawing
-
-from collections.abc import Mapping
-
-import pinocchio as pin
-
-from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.state import Array
-from mbd_ros.errors import ModelError
-from mbd_ros.nodes.shell.parameters import ParameterError
-from msg_adapters.errors import MessageError, listed
-from msg_adapters.wrench import read_wrench
-
-# Loads that somebody puts on links by hand: one topic for all of them.
 
 EVERY = "*"  # stands for all links that move
 _PREFIX = "pushed_"
-
-
-class Pushes:
-    """Links that can be pushed, and which external load stands for each.
-
-    Links that one joint carries share a load: an idle one costs a call in every evaluation.
-
-    Args:
-        scene: The scene, without these loads.
-        links: Names of links, or `EVERY`.
-
-    Attributes:
-        scene: The scene with them.
-        loads: Names of the loads, those of the scene itself left out.
-
-    Raises:
-        ParameterError: There is no such link, or nothing can move it.
-    """
-
-    def __init__(self, scene: Scene, links: Sequence[str]) -> None:
-        self._model = scene.robot.model
-        self._frames = {link: _frame(scene.robot, link) for link in _asked(scene.robot, links)}
-        carriers = {int(self._model.frames[at].parentJoint) for at in self._frames.values()}
-        self._loads = {joint: f"{_PREFIX}{joint}" for joint in carriers}
-        self._first = {
-            joint: next(at for at in self._frames.values() if self._joint(at) == joint)
-            for joint in carriers
-        }
-        self.loads = tuple(self._loads.values())
-        self.scene = _loaded(scene, self._entries()) if links else scene
-
-    def read(self, msg: Any) -> tuple[str, Array]:
-        """The load that a WrenchStamped is for, and the wrench as that load takes it.
-
-        Raises:
-            MessageError: No link that can be pushed, or a component that is not finite.
-        """
-        sample = read_wrench(msg)
-        at = self._frames.get(sample.frame_id)
-        if at is None:
-            known = listed(list(self._frames)) or "none, see parameter pushed_links"
-            raise MessageError(f"frame {listed([sample.frame_id])} is no pushed link: {known}")
-        joint = self._joint(at)
-        first, link = self._model.frames[self._first[joint]], self._model.frames[at]
-        there = first.placement.actInv(link.placement)
-        return self._loads[joint], there.act(pin.Force(sample.wrench)).vector
-
-    def _joint(self, frame: int) -> int:
-        return int(self._model.frames[frame].parentJoint)
-
-    def _entries(self) -> dict[str, Any]:
-        frames = self._model.frames
-        return {
-            self._loads[joint]: {"frame": frames[at].name} for joint, at in self._first.items()
-        }
-
-
-def _asked(robot: Robot, links: Sequence[str]) -> Sequence[str]:
-    if EVERY not in links:
-        return links
-    frames = robot.model.frames
-    return [f.name for f in frames if f.type == pin.FrameType.BODY and f.parentJoint > 0]
-
-
-def _frame(robot: Robot, link: str) -> int:
-    try:
-        at = robot.frame(link)
-    except ModelError as error:
-        raise ParameterError(f"parameter 'pushed_links': {error}") from error
-    if robot.model.frames[at].parentJoint == 0:
-        raise ParameterError(f"parameter 'pushed_links': nothing moves the link '{link}'")
-    return at
-
-
-def _loaded(scene: Scene, entries: Mapping[str, Any]) -> Scene:
-    given = scene.entries.get("external_wrenches") or {}
-    return scene.with_(external_wrenches={**given, **entries})
 
 
 class Plant:
@@ -180,7 +97,6 @@ class Plant:
         self._forces = JointStateCdrWriter(self.rows, ("effort",))
         self._shown = MultiArrayCdrWriter(len(self.shown), self.shown)
         self._motion = JointMotionWriter(JointTrajectory(), JointTrajectoryPoint(), names)
-        self._drawing = _drawing(scene) if self.live.showing.arrows else None
         self._event_table = _event_table() if self.live.simulation.guards else None
 
     @property
@@ -265,11 +181,6 @@ class Plant:
         now = self.live.now
         return self._motion.write(stamp, now.position, now.velocity, now.acceleration, now.effort)
 
-    def markers(self, stamp: int, length: float) -> Any:
-        """MarkerArray of what parts exert, by the names of arrows; `length` is [m/N]."""
-        assert self._drawing is not None
-        return self._drawing.write(self.live, stamp, length)
-
     def details(self) -> dict[str, str]:
         """Contents and origin of the motion, for diagnostics."""
         robot, live, watch = self.scene.robot, self.live, self.live.watch
@@ -307,6 +218,83 @@ class Plant:
         return details
 
 
+class Pushes:
+    """Links that can be pushed, and which external load stands for each.
+
+    Links that one joint carries share a load: an idle one costs a call in every evaluation.
+
+    Args:
+        scene: The scene, without these loads.
+        links: Names of links, or `EVERY`.
+
+    Attributes:
+        scene: The scene with them.
+        loads: Names of the loads, those of the scene itself left out.
+
+    Raises:
+        ParameterError: There is no such link, or nothing can move it.
+    """
+
+    def __init__(self, scene: Scene, links: Sequence[str]) -> None:
+        self._model = scene.robot.model
+        self._frames = {link: _frame(scene.robot, link) for link in _asked(scene.robot, links)}
+        carriers = {int(self._model.frames[at].parentJoint) for at in self._frames.values()}
+        self._loads = {joint: f"{_PREFIX}{joint}" for joint in carriers}
+        self._first = {
+            joint: next(at for at in self._frames.values() if self._joint(at) == joint)
+            for joint in carriers
+        }
+        self.loads = tuple(self._loads.values())
+        self.scene = _loaded(scene, self._entries()) if links else scene
+
+    def read(self, msg: Any) -> tuple[str, Array]:
+        """The load that a WrenchStamped is for, and the wrench as that load takes it.
+
+        Raises:
+            MessageError: No link that can be pushed, or a component that is not finite.
+        """
+        sample = read_wrench(msg)
+        at = self._frames.get(sample.frame_id)
+        if at is None:
+            known = listed(list(self._frames)) or "none, see parameter pushed_links"
+            raise MessageError(f"frame {listed([sample.frame_id])} is no pushed link: {known}")
+        joint = self._joint(at)
+        first, link = self._model.frames[self._first[joint]], self._model.frames[at]
+        there = first.placement.actInv(link.placement)
+        return self._loads[joint], there.act(pin.Force(sample.wrench)).vector
+
+    def _joint(self, frame: int) -> int:
+        return int(self._model.frames[frame].parentJoint)
+
+    def _entries(self) -> dict[str, Any]:
+        frames = self._model.frames
+        return {
+            self._loads[joint]: {"frame": frames[at].name} for joint, at in self._first.items()
+        }
+
+
+def _frame(robot: Robot, link: str) -> int:
+    try:
+        at = robot.frame(link)
+    except ModelError as error:
+        raise ParameterError(f"parameter 'pushed_links': {error}") from error
+    if robot.model.frames[at].parentJoint == 0:
+        raise ParameterError(f"parameter 'pushed_links': nothing moves the link '{link}'")
+    return at
+
+
+def _asked(robot: Robot, links: Sequence[str]) -> Sequence[str]:
+    if EVERY not in links:
+        return links
+    frames = robot.model.frames
+    return [f.name for f in frames if f.type == pin.FrameType.BODY and f.parentJoint > 0]
+
+
+def _loaded(scene: Scene, entries: Mapping[str, Any]) -> Scene:
+    given = scene.entries.get("external_wrenches") or {}
+    return scene.with_(external_wrenches={**given, **entries})
+
+
 def _odometry(scene: Scene) -> list[Any]:
     """Writers of the free bodies."""
     if not scene.robot.bases:
@@ -316,22 +304,8 @@ def _odometry(scene: Scene) -> list[Any]:
     return [OdometryCdrWriter(WORLD, base.frame) for base in scene.robot.bases]
 
 
-def _event_table() -> Callable[["Simulation", Sequence["Event"]], "Table"]:
+def _event_table() -> Callable[[Simulation, Sequence[Event]], Table]:
     """What makes a table of events."""
     from mbd_ros.features.simulation.events import event_table  # only where something may happen
 
     return event_table
-
-
-def _drawing(scene: Scene) -> "Drawing":
-    """What draws arrows and cones."""
-    from mbd_ros.nodes.simulator.outputs import Drawing  # only where something is drawn
-
-    return Drawing(scene.robot, root_link(scene))
-
-
-def root_link(scene: Scene) -> str:
-    """Link that stands for the world."""
-    frames = scene.robot.model.frames
-    links = [f.name for f in frames if f.type == FrameType.BODY and f.parentJoint == 0]
-    return str(links[0]) if links else "world"

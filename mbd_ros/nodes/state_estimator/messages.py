@@ -1,5 +1,7 @@
 """Messages of an estimate: states, unknown efforts, forces, deviations, innovations."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
@@ -11,31 +13,6 @@ from mbd_ros.features.estimation.faults import Consistency
 from mbd_ros.methods.estimation.process import Belief
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MatrixCdrWriter, MultiArrayCdrWriter
-
-
-class EstimateMessages(NamedTuple):
-    """Messages that answer a sample, serialized.
-
-    Attributes:
-        stamp: Of the estimate [ns].
-        states: All joints.
-        disturbance: Unknown efforts, None without any.
-        forces: Multipliers of all rows, None without any.
-        deviations: Float64MultiArray of standard deviations, labelled.
-        parameters: Float64MultiArray of estimated numbers and their deviations, None without any.
-        covariance: Float64MultiArray, None where it is not wanted.
-        innovations: Float64MultiArray, labelled: normalised innovations, then NIS, its mean and
-            the correlation of the newest samples.
-    """
-
-    stamp: int
-    states: bytes
-    disturbance: bytes | None
-    forces: bytes | None
-    deviations: bytes
-    parameters: bytes | None
-    covariance: bytes | None
-    innovations: bytes
 
 
 class EstimateWriter:
@@ -138,3 +115,28 @@ class EstimateWriter:
         nis = innovation.squared / max(innovation.freedom, 1)
         more = nis, consistency.nis, consistency.correlation
         return self._innovations.write([*values.tolist(), *more])
+
+
+class EstimateMessages(NamedTuple):
+    """Messages that answer a sample, serialized.
+
+    Attributes:
+        stamp: Of the estimate [ns].
+        states: All joints.
+        disturbance: Unknown efforts, None without any.
+        forces: Multipliers of all rows, None without any.
+        deviations: Float64MultiArray of standard deviations, labelled.
+        parameters: Float64MultiArray of estimated numbers and their deviations, None without any.
+        covariance: Float64MultiArray, None where it is not wanted.
+        innovations: Float64MultiArray, labelled: normalised innovations, then NIS, its mean and
+            the correlation of the newest samples.
+    """
+
+    stamp: int
+    states: bytes
+    disturbance: bytes | None
+    forces: bytes | None
+    deviations: bytes
+    parameters: bytes | None
+    covariance: bytes | None
+    innovations: bytes

@@ -11,9 +11,10 @@ from std_msgs.msg import Float64MultiArray
 from mbd_ros.errors import DivergedError, SolveError
 from mbd_ros.features.estimation.tracker import Taken
 from mbd_ros.methods.signals.differentiation import SampleStatus
+from mbd_ros.nodes.shell.commands import command_reader
 from mbd_ros.nodes.shell.joint_state_stream import SENSOR, JointStateStream
-from mbd_ros.nodes.shell.messages import SensorMessage, command_reader
 from mbd_ros.nodes.shell.robot_description import RobotDescription
+from mbd_ros.nodes.shell.sensor_messages import SensorMessage
 from mbd_ros.nodes.shell.serialized import read_load
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages

@@ -6,20 +6,18 @@ from typing import Any
 
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
-from mbd_ros.nodes.shell.parameters import Parameter, ParameterError, of
-from mbd_ros.nodes.shell.stream_parameters import PARAMETERS as INVERSE_DYNAMICS
+from mbd_ros.nodes.shell.parameters import Parameter, ParameterError, constructor_parameters
+from mbd_ros.nodes.shell.stream_parameters import stream_parameters
 from mbd_ros.parts.estimators.moving_horizon import MovingHorizon
 
-_SHARED = ("scene", "allow_code", "timeout", "clock_tolerance")
 _TASK = (
     *("model_noise", "disturbance_noise", "position_noise", "velocity_noise"),
     *("position_deviation", "velocity_deviation", "parameter_time", "limits"),
 )
 TRACKER = ("memory", "patience", "max_age", "gate", "agility")
 _HORIZON = ("samples", "iterations")
-
 ESTIMATION = (
-    *(parameter for parameter in INVERSE_DYNAMICS if parameter.name in _SHARED),
+    *stream_parameters("scene", "allow_code", "timeout", "clock_tolerance"),
     Parameter(
         "estimator",
         str,
@@ -67,9 +65,9 @@ ESTIMATION = (
         "Whether the whole covariance is published on `~/covariance`.",
         False,
     ),
-    *of(EstimateTask, {name: name for name in _TASK}),
-    *of(Tracker, {name: name for name in TRACKER}, skip=2),
-    *of(MovingHorizon, {name: f"horizon.{name}" for name in _HORIZON}, skip=1),
+    *constructor_parameters(EstimateTask, {name: name for name in _TASK}),
+    *constructor_parameters(Tracker, {name: name for name in TRACKER}, skip=2),
+    *constructor_parameters(MovingHorizon, {name: f"horizon.{name}" for name in _HORIZON}, skip=1),
     Parameter(
         "wrench_max_age",
         float,
@@ -112,19 +110,6 @@ PARAMETERS = (
 )
 
 
-def _deviations(texts: Sequence[str]) -> dict[str, float]:
-    found = dict[str, float]()
-    for text in texts:
-        name, _, given = text.rpartition("=")
-        try:
-            found[name.strip()] = deviation = float(given)
-        except ValueError:
-            deviation = math.nan
-        if not name.strip() or not 0.0 < deviation < math.inf:
-            raise ParameterError(f"parameters: '{text}', accepted: <name>=<deviation>, > 0")
-    return found
-
-
 def task_of(values: Any) -> EstimateTask:
     """What the parameters ask for.
 
@@ -141,3 +126,16 @@ def task_of(values: Any) -> EstimateTask:
         parameters=_deviations(values.parameters),
         **{name: getattr(values, name) for name in _TASK},
     )
+
+
+def _deviations(texts: Sequence[str]) -> dict[str, float]:
+    found = dict[str, float]()
+    for text in texts:
+        name, _, given = text.rpartition("=")
+        try:
+            found[name.strip()] = deviation = float(given)
+        except ValueError:
+            deviation = math.nan
+        if not name.strip() or not 0.0 < deviation < math.inf:
+            raise ParameterError(f"parameters: '{text}', accepted: <name>=<deviation>, > 0")
+    return found

@@ -1,4 +1,4 @@
-"""A built scene between messages: from what is measured to estimated states."""
+"""From serialized measurements to messages with estimated states."""
 
 from collections.abc import Sequence
 from time import perf_counter
@@ -11,8 +11,8 @@ from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.features.estimation.estimation import EFFORTS, estimation_of
 from mbd_ros.features.estimation.tracker import LagWindow, Taken, Tracker
 from mbd_ros.features.estimation.unknowns import inner
-from mbd_ros.nodes.shell.messages import sensor_messages
 from mbd_ros.nodes.shell.parameters import ParameterError
+from mbd_ros.nodes.shell.sensor_messages import sensor_messages
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.state_estimator.messages import EstimateMessages, EstimateWriter
 from mbd_ros.nodes.state_estimator.parameters import TRACKER, task_of
@@ -27,17 +27,6 @@ from msg_adapters.joint_state_cdr import JointStateCdrReader
 
 Answer = list[EstimateMessages] | Taken  # estimates that are due, or what became of the sample
 _REWIND = 1.0  # s, by which wrenches are older where time begins anew
-
-
-def refuse_unknown(given: Sequence[str], names: Sequence[str]) -> None:
-    """Refuse joints that there are not.
-
-    Raises:
-        ParameterError: Names them and what there is.
-    """
-    unknown = [name for name in given if name not in names]
-    if unknown:
-        raise ParameterError(f"unknown joints {', '.join(unknown)}; accepted: {', '.join(names)}")
 
 
 class EstimatorPipeline:
@@ -143,8 +132,8 @@ class EstimatorPipeline:
         """Messages for a sensor with a topic of its own; nothing before the first joint state.
 
         Raises:
-            SolveError: As `answer`.
-            DivergedError: As `answer`.
+            SolveError: There is no consistent state near the sample.
+            DivergedError: The prediction is no longer finite.
         """
         if self.tracker is None:
             return Taken.OLD
@@ -239,3 +228,14 @@ class EstimatorPipeline:
             "sensor faults": ", ".join(self.tracker.faults.found()) or "none",
             "began anew": str(self.tracker.restarts),
         }
+
+
+def refuse_unknown(given: Sequence[str], names: Sequence[str]) -> None:
+    """Refuse joints that there are not.
+
+    Raises:
+        ParameterError: Names them and what there is.
+    """
+    unknown = [name for name in given if name not in names]
+    if unknown:
+        raise ParameterError(f"unknown joints {', '.join(unknown)}; accepted: {', '.join(names)}")

@@ -1,5 +1,7 @@
 """Node `web_view`: a page that shows robots as their topics tell of them, and leads them."""
 
+from __future__ import annotations
+
 import gc
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -27,80 +29,12 @@ from mbd_ros.view.live_robot import LiveRobot
 from mbd_ros.view.server import PageServer
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN, read_diagnostics
 
-# The services of one simulator: what buttons of a page ask for.
-
 _TRIGGERS = ("reset", "step")
 _PAUSES = {"pause": True, "run": False}
-
-
-class SimulatorClient:
-    """Asks one simulator, and tells what it answered.
-
-    Args:
-        ask_of: Makes a client of a service of that type and name.
-        name: Of the simulator, relative or absolute.
-        tell: Is told the answers.
-
-    Attributes:
-        name: As given.
-    """
-
-    def __init__(
-        self, ask_of: Callable[[type, str], Any], name: str, tell: Callable[[str], None]
-    ) -> None:
-        self.name, self._tell = name, tell
-        self._clients = {what: ask_of(Trigger, f"{name}/{what}") for what in _TRIGGERS}
-        self._pause = ask_of(SetBool, f"{name}/pause")
-        self._parameters = ask_of(SetParameters, f"{name}/set_parameters")
-        self._waiting: dict[Any, Any] = {}
-
-    def do(self, wish: Wish) -> None:
-        """Ask for what somebody wished for."""
-        if wish.what in _PAUSES:
-            self._ask(self._pause, SetBool.Request(data=_PAUSES[wish.what]), wish.what)
-        elif wish.what == REAL_TIME_FACTOR:
-            changed = Parameter("real_time_factor", value=wish.value).to_parameter_msg()
-            request = SetParameters.Request(parameters=[changed])
-            self._ask(self._parameters, request, f"{wish.what} {wish.value:g}")
-        else:
-            self._ask(self._clients[wish.what], Trigger.Request(), wish.what)
-
-    def _ask(self, client: Any, request: Any, what: str) -> None:
-        """Ask; an older question to the same service is answered no more."""
-        if client in self._waiting:
-            client.remove_pending_request(self._waiting.pop(client))
-        if not client.service_is_ready():
-            self._tell(f"{what}: no {self.name} there")
-            return
-        self._tell(f"{what}: asked")
-        self._waiting[client] = future = client.call_async(request)
-        future.add_done_callback(partial(self._answered, client, what))
-
-    def _answered(self, client: Any, what: str, future: Any) -> None:
-        if self._waiting.get(client) is not future:
-            return
-        del self._waiting[client]
-        answer = future.result()
-        if hasattr(answer, "results"):
-            refused = [result.reason for result in answer.results if not result.successful]
-            self._tell(f"{what}: {refused[0] if refused else 'done'}")
-        else:
-            self._tell(f"{what}: {answer.message}")
-
-
 _SILENT = 1.0  # s without joint states that are reported
 _REPORTS, _LONGEST = 50, 300  # nodes whose diagnostics are shown, and characters of each
 _REACHED = "real-time factor reached"  # in diagnostics of simulators
 _LEVELS = {OK: "ok", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
-
-
-class _Robot(NamedTuple):
-    """One robot of the page."""
-
-    view: LiveRobot
-    topics: RobotTopics
-    simulator: SimulatorClient
-    leading: Leading
 
 
 class WebViewNode(Shell):
@@ -216,7 +150,7 @@ class WebViewNode(Shell):
         self.keep(client, self.destroy_client)
         return client
 
-    def _answer_of(self, view: LiveRobot) -> Any:
+    def _answer_of(self, view: LiveRobot) -> Callable[[str], None]:
         before = f"{view.title}: " if view.title else ""
         return lambda line: self._page.answer(f"{before}{line}")
 
@@ -275,6 +209,70 @@ class WebViewNode(Shell):
                 level = _LEVELS.get(health.level, str(health.level))
                 self._reports[health.name] = f"{health.name}: {level} {health.message}"[:_LONGEST]
                 self._reached[health.name] = health.values.get(_REACHED, "")[:_LONGEST]
+
+
+class _Robot(NamedTuple):
+    """One robot of the page."""
+
+    view: LiveRobot
+    topics: RobotTopics
+    simulator: SimulatorClient
+    leading: Leading
+
+
+class SimulatorClient:
+    """Calls the services of one simulator for the buttons of a page, and tells the answers.
+
+    Args:
+        ask_of: Makes a client of a service of that type and name.
+        name: Of the simulator, relative or absolute.
+        tell: Is told the answers.
+
+    Attributes:
+        name: As given.
+    """
+
+    def __init__(
+        self, ask_of: Callable[[type, str], Any], name: str, tell: Callable[[str], None]
+    ) -> None:
+        self.name, self._tell = name, tell
+        self._clients = {what: ask_of(Trigger, f"{name}/{what}") for what in _TRIGGERS}
+        self._pause = ask_of(SetBool, f"{name}/pause")
+        self._parameters = ask_of(SetParameters, f"{name}/set_parameters")
+        self._waiting: dict[Any, Any] = {}
+
+    def do(self, wish: Wish) -> None:
+        """Ask for what somebody wished for."""
+        if wish.what in _PAUSES:
+            self._ask(self._pause, SetBool.Request(data=_PAUSES[wish.what]), wish.what)
+        elif wish.what == REAL_TIME_FACTOR:
+            changed = Parameter("real_time_factor", value=wish.value).to_parameter_msg()
+            request = SetParameters.Request(parameters=[changed])
+            self._ask(self._parameters, request, f"{wish.what} {wish.value:g}")
+        else:
+            self._ask(self._clients[wish.what], Trigger.Request(), wish.what)
+
+    def _ask(self, client: Any, request: Any, what: str) -> None:
+        """Ask; an older question to the same service is answered no more."""
+        if client in self._waiting:
+            client.remove_pending_request(self._waiting.pop(client))
+        if not client.service_is_ready():
+            self._tell(f"{what}: no {self.name} there")
+            return
+        self._tell(f"{what}: asked")
+        self._waiting[client] = future = client.call_async(request)
+        future.add_done_callback(partial(self._answered, client, what))
+
+    def _answered(self, client: Any, what: str, future: Any) -> None:
+        if self._waiting.get(client) is not future:
+            return
+        del self._waiting[client]
+        answer = future.result()
+        if hasattr(answer, "results"):
+            refused = [result.reason for result in answer.results if not result.successful]
+            self._tell(f"{what}: {refused[0] if refused else 'done'}")
+        else:
+            self._tell(f"{what}: {answer.message}")
 
 
 def _title(robot: _Robot) -> str:

@@ -1,5 +1,7 @@
 """What the topics of one robot tell of it, as a sample to draw."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping, Sequence
 from time import perf_counter
@@ -34,145 +36,9 @@ from msg_adapters.marker_shapes import Shapes, read_shapes
 from msg_adapters.odometry import read_odometry
 from msg_adapters.wrench import WrenchSample, read_wrench
 
-# The newest message of each topic, as bytes: what comes in between is never read.
-
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
-
-
-class Newest:
-    """Hears a topic, and gives its newest message once.
-
-    Args:
-        node: The hearing node.
-        kind: Message class.
-        topic: Relative or absolute name.
-
-    Attributes:
-        count: Messages since it was set to 0.
-    """
-
-    def __init__(self, node: Shell, kind: type, topic: str) -> None:
-        self._node, self._kind, self._topic = node, kind, topic
-        self.count, self._cdr = 0, b""
-        node.subscribe(kind, topic, self._take, NEWEST, raw=True)
-
-    def _take(self, cdr: bytes) -> None:
-        self._cdr, self.count = cdr, self.count + 1
-
-    def read(self, read: Callable[[bytes], Any]) -> Any:
-        """What a function reads of the newest bytes; None where they are bad, or none are new."""
-        cdr, self._cdr = self._cdr, b""
-        if not cdr:
-            return None
-        try:
-            return read(cdr)
-        except MessageError as error:
-            where = self._node.resolve_topic_name(self._topic)
-            self._node.drop("malformed", f"{where}: {error}")
-            return None
-
-    def message(self, read: Callable[[Any], Any]) -> Any:
-        """The same of the newest message."""
-        return self.read(lambda cdr: read(message_of(cdr, self._kind)))
-
-
-# Loads that come as wrenches: those of the scene from outside, and those of contacts.
-
 _LASTS = 0.5  # s, a wrench without a successor
-
-
-class _Load(NamedTuple):
-    """A load that is heard.
-
-    Attributes:
-        newest: Its topic.
-        about: The point that it refers to; None where its message names the link.
-    """
-
-    newest: Newest
-    about: Point | None
-
-
-class MeasuredLoads:
-    """Hears all loads of a robot.
-
-    Args:
-        scene: The scene.
-        showing: What parts of it show.
-        simulator: Node whose topics `~/..` are.
-        newest: Makes what hears a topic.
-
-    Attributes:
-        names: Of the loads.
-    """
-
-    def __init__(
-        self,
-        scene: Scene,
-        showing: Showing,
-        simulator: str,
-        newest: Callable[[type, str], Newest],
-    ) -> None:
-        self._robot, self._loads = scene.robot, dict[str, _Load]()
-        for name, wrench in scene.wrenches.items():
-            topic = wrench.heard_on.replace("~/", f"{simulator}/", 1)
-            self._loads[name] = _Load(newest(WrenchStamped, topic), wrench.about)
-        for name in contacts_of(showing):
-            topic = topic_of(name).replace("~/", f"{simulator}/", 1)
-            self._loads[name] = _Load(newest(WrenchStamped, topic), None)
-        self.names = tuple(self._loads)
-        self._held: dict[str, tuple[float, Point, Array]] = {}
-
-    def at(self, k: Kinematics, contacts_are_drawn: bool) -> Array:
-        """Where loads act, and their forces, shape (n, 2, 3); NaN where they are unknown.
-
-        A load has no place of its own: it is drawn on its axis, next to the point that it is
-        given about.
-
-        Args:
-            k: Kinematics at positions.
-            contacts_are_drawn: Whether arrows of contacts come from elsewhere: no places then.
-        """
-        now, found = perf_counter(), np.full((len(self._loads), 2, 3), np.nan)
-        for row, (name, load) in zip(found, self._loads.items(), strict=True):
-            fresh = load.newest.message(lambda msg, load=load: self._read(msg, load))
-            if fresh is not None:
-                self._held[name] = (now, *fresh)
-            since, about, wrench = self._held.get(name, (-np.inf, None, None))
-            if about is None or wrench is None or now - since > _LASTS:
-                continue
-            axes, force, torque = k.rotation(about), wrench[:3], wrench[3:]
-            square = float(force @ force)
-            beside = np.cross(force, torque) / square if square > 0.0 else np.zeros(3)
-            row[1] = axes @ force
-            if load.about is not None or not contacts_are_drawn:
-                row[0] = k.position(about) + axes @ beside
-        return found
-
-    def _read(self, msg: Any, load: _Load) -> tuple[Point, Array]:
-        sample: WrenchSample = read_wrench(msg)
-        if load.about is not None:
-            return load.about, sample.wrench
-        try:
-            return self._robot.point(sample.frame_id), sample.wrench
-        except ModelError as error:
-            raise MessageError(str(error)) from error
-
-
 _FARTHEST = 1.0e6  # rad or m, of a joint that can be drawn
-
-
-class _Joints:
-    """Joint states of one topic: where its joints stand among those of the robot."""
-
-    def __init__(self, newest: Newest, names: list[str], at: list[int]) -> None:
-        self.newest, self.at = newest, np.array(at, dtype=np.intp)
-        self._reader = JointStateCdrReader(JointStateReader(names), joint_state)
-
-    def read(self) -> JointSample | None:
-        """The newest sample, if it is new."""
-        sample: JointSample | None = self.newest.read(self._reader.read)
-        return sample
 
 
 class RobotTopics:
@@ -321,11 +187,139 @@ class RobotTopics:
         self._stamp = stamp
 
 
-def places(names: Sequence[str], own: Mapping[str, str]) -> list[int]:
-    """Where the joints of one topic stand among all."""
-    return [names.index(name) for name in own.values()]
+class _Joints:
+    """Joint states of one topic: where its joints stand among those of the robot."""
+
+    def __init__(self, newest: Newest, names: list[str], at: list[int]) -> None:
+        self.newest, self.at = newest, np.array(at, dtype=np.intp)
+        self._reader = JointStateCdrReader(JointStateReader(names), joint_state)
+
+    def read(self) -> JointSample | None:
+        """The newest sample, if it is new."""
+        sample: JointSample | None = self.newest.read(self._reader.read)
+        return sample
 
 
 def within(namespace: str, topic: str) -> str:
     """A topic of a robot: absolute ones as they are."""
     return topic if topic.startswith("/") or not namespace else f"{namespace}/{topic}"
+
+
+def places(names: Sequence[str], own: Mapping[str, str]) -> list[int]:
+    """Where the joints of one topic stand among all."""
+    return [names.index(name) for name in own.values()]
+
+
+class MeasuredLoads:
+    """Hears all loads of a robot: external wrenches of the scene, and forces of contacts.
+
+    Args:
+        scene: The scene.
+        showing: What parts of it show.
+        simulator: Node whose topics `~/..` are.
+        newest: Makes what hears a topic.
+
+    Attributes:
+        names: Of the loads.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        showing: Showing,
+        simulator: str,
+        newest: Callable[[type, str], Newest],
+    ) -> None:
+        self._robot, self._loads = scene.robot, dict[str, _Load]()
+        for name, wrench in scene.wrenches.items():
+            topic = wrench.heard_on.replace("~/", f"{simulator}/", 1)
+            self._loads[name] = _Load(newest(WrenchStamped, topic), wrench.about)
+        for name in contacts_of(showing):
+            topic = topic_of(name).replace("~/", f"{simulator}/", 1)
+            self._loads[name] = _Load(newest(WrenchStamped, topic), None)
+        self.names = tuple(self._loads)
+        self._held: dict[str, tuple[float, Point, Array]] = {}
+
+    def at(self, k: Kinematics, contacts_are_drawn: bool) -> Array:
+        """Where loads act, and their forces, shape (n, 2, 3); NaN where they are unknown.
+
+        A load has no place of its own: it is drawn on its axis, next to the point that it is
+        given about.
+
+        Args:
+            k: Kinematics at positions.
+            contacts_are_drawn: Whether arrows of contacts come from elsewhere: no places then.
+        """
+        now, found = perf_counter(), np.full((len(self._loads), 2, 3), np.nan)
+        for row, (name, load) in zip(found, self._loads.items(), strict=True):
+            fresh = load.newest.message(lambda msg, load=load: self._read(msg, load))
+            if fresh is not None:
+                self._held[name] = (now, *fresh)
+            since, about, wrench = self._held.get(name, (-np.inf, None, None))
+            if about is None or wrench is None or now - since > _LASTS:
+                continue
+            axes, force, torque = k.rotation(about), wrench[:3], wrench[3:]
+            square = float(force @ force)
+            beside = np.cross(force, torque) / square if square > 0.0 else np.zeros(3)
+            row[1] = axes @ force
+            if load.about is not None or not contacts_are_drawn:
+                row[0] = k.position(about) + axes @ beside
+        return found
+
+    def _read(self, msg: Any, load: _Load) -> tuple[Point, Array]:
+        sample: WrenchSample = read_wrench(msg)
+        if load.about is not None:
+            return load.about, sample.wrench
+        try:
+            return self._robot.point(sample.frame_id), sample.wrench
+        except ModelError as error:
+            raise MessageError(str(error)) from error
+
+
+class _Load(NamedTuple):
+    """A load that is heard.
+
+    Attributes:
+        newest: Its topic.
+        about: The point that it refers to; None where its message names the link.
+    """
+
+    newest: Newest
+    about: Point | None
+
+
+class Newest:
+    """Hears a topic, and gives its newest message once: what comes in between is never read.
+
+    Args:
+        node: The hearing node.
+        kind: Message class.
+        topic: Relative or absolute name.
+
+    Attributes:
+        count: Messages since it was set to 0.
+    """
+
+    def __init__(self, node: Shell, kind: type, topic: str) -> None:
+        self._node, self._kind, self._topic = node, kind, topic
+        self.count, self._cdr = 0, b""
+        node.subscribe(kind, topic, self._take, NEWEST, raw=True)
+
+    def _take(self, cdr: bytes) -> None:
+        self._cdr, self.count = cdr, self.count + 1
+
+    def read(self, read: Callable[[bytes], Any]) -> Any:
+        """What a function reads of the newest bytes; None where they are bad, or none are new."""
+        cdr, self._cdr = self._cdr, b""
+        if not cdr:
+            return None
+        try:
+            return read(cdr)
+        except MessageError as error:
+            where = self._node.resolve_topic_name(self._topic)
+            self._node.drop("malformed", f"{where}: {error}")
+            return None
+
+    def message(self, read: Callable[[Any], Any]) -> Any:
+        """The same of the newest message."""
+        return self.read(lambda cdr: read(message_of(cdr, self._kind)))

@@ -4,9 +4,7 @@ from typing import Any
 
 from mbd_ros.features.muscles.static_optimization import EXPONENTS
 from mbd_ros.nodes.shell.parameters import Parameter
-from mbd_ros.nodes.shell.stream_parameters import STREAM, tuning
-
-__all__ = ["PARAMETERS", "options", "tuning"]
+from mbd_ros.nodes.shell.stream_parameters import STREAM
 
 PARAMETERS = (
     *STREAM,

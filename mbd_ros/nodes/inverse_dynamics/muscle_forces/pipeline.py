@@ -1,4 +1,6 @@
-"""A built scene with muscles between messages: from a joint state to forces of muscles."""
+"""From joint states and wrenches to messages with the muscle forces that explain them."""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,8 +17,9 @@ from mbd_ros.features.muscles.task import muscles_task
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
-from mbd_ros.nodes.inverse_dynamics.muscle_forces.parameters import options, tuning
+from mbd_ros.nodes.inverse_dynamics.muscle_forces.parameters import options
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
+from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.describe.scene_summary import coordinate_names
 from msg_adapters.diagnostics import OK
 from msg_adapters.errors import MessageError
@@ -24,71 +27,130 @@ from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.wrench import write_wrench
 
-# ---- measured ---------------------------------------------------------------------------------
-# Activations that arrive on a topic, by the names of muscles.
-
-
-class MeasuredActivations:
-    """The newest activation of each muscle, as long as it stands.
-
-    Args:
-        names: Of the muscles.
-        max_age: How long a value stands [s].
-        clock: Steady time [s].
-    """
-
-    def __init__(self, names: Sequence[str], max_age: float, clock: Callable[[], float]) -> None:
-        self._at = {name: i for i, name in enumerate(names)}
-        self._max_age, self._clock = max_age, clock
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget all."""
-        self._values = np.full(len(self._at), np.nan)
-        self._heard = np.full(len(self._at), -np.inf)
-
-    def take(self, msg: Any) -> None:
-        """Values of a Float64MultiArray whose layout labels are names of muscles.
-
-        Raises:
-            MessageError: Not one label a value, no label of a muscle, or a value outside 0 .. 1.
-        """
-        labels = [dimension.label for dimension in msg.layout.dim]
-        if len(labels) != len(msg.data):
-            raise MessageError(
-                f"{len(labels)} labels for {len(msg.data)} values; expected one each"
-            )
-        found = [(self._at[n], v) for n, v in zip(labels, msg.data, strict=True) if n in self._at]
-        if not found:
-            raise MessageError(f"no label is a muscle; muscles are {', '.join(self._at)}")
-        for i, value in found:
-            if not 0.0 <= value <= 1.0:
-                name = list(self._at)[i]
-                raise MessageError(f"activation of {name} is {value:.6g}, accepted: 0 .. 1")
-        now = self._clock()
-        for i, value in found:
-            self._values[i], self._heard[i] = value, now
-
-    def now(self) -> Array:
-        """Values that stand, NaN for the others, shape (n,)."""
-        fresh = self._clock() - self._heard <= self._max_age
-        return np.where(fresh, self._values, np.nan)
-
-
-# ---- pipeline ---------------------------------------------------------------------------------
-# A built scene with muscles between messages: from a joint state to forces of muscles.
-
-
-# Static optimisation as the solver of a stream of samples.
-
 _LACKS = 1.0e-6  # of the largest need
 
 
-class LiveSharing:
-    """Shares one sample at a time; see `SampleSolver` for its attributes.
+class MusclePipeline(Pipeline):
+    """Scene and solver of a configured node `muscle_forces`.
 
     Args:
-        optimization: The solver.
+        values: Parameters of the node.
+        description: URDF, where the scene takes it from a topic.
+
+    Attributes:
+        links: Names for topics of the loads of joints.
+        measured: Activations that were measured.
+    """
+
+    def __init__(self, values: Any, description: str | None) -> None:
+        super().__init__(values, description)
+        scene = self.scene
+        if self.whole is not None:
+            raise MbdError(f"{scene.name}: muscle forces live: one fixed robot, no free bodies")
+        asked = muscles_task(scene, options(values), f"{scene.name}: muscles")
+        use = values.emg_use
+        wishes = asked.wishes._replace(
+            tracking=values.emg_weight if use == "track" else 0.0,
+            measured_is_least=use == "least",
+        )
+        optimization = replace(asked, wishes=wishes).solver(scene, is_live=True)
+        loads = asked.loads(scene)
+        names = coordinate_names(scene.robot, scene.couplings)
+        self._sharing = self._solver = LiveSharing(optimization, loads, names)
+        self.estimator = TorqueEstimator(scene.robot, self._sharing, tuning(values))
+        muscles = [muscle.name for muscle in optimization.muscles]
+        reserves = [reserve.name for reserve in optimization.reserves]
+        self.measured = MeasuredActivations(muscles, values.emg_max_age, monotonic)
+        self._muscle_forces = JointStateCdrWriter(muscles)
+        self._activations = MultiArrayCdrWriter(len(muscles), muscles)
+        self._reserves = JointStateCdrWriter(reserves, ("effort",)) if reserves else None
+        joined = () if loads is None else loads.joined
+        self.links = [one.link for one in joined]
+        axes = {"child": "link", "parent": "parent_link"}
+        attribute = axes.get(values.reactions)
+        self._frames = ["world" if attribute is None else getattr(j, attribute) for j in joined]
+        self._loads = [WrenchStamped() for _ in joined]
+
+    def make_solver(self, values: Any) -> SampleSolver:
+        """Torques of joints, which come before those of muscles."""
+        return self.scene.inverse_dynamics()
+
+    def reset(self) -> None:
+        """Forget the past."""
+        super().reset()
+        self._sharing.forget()
+        self.measured.clear()
+
+    def share(self, x: Observation, wrenches: Sequence[Any]) -> MuscleAnswer | None:
+        """Messages for an observation; None if what it needs is not finite.
+
+        Args:
+            x: Motion of one stamp.
+            wrenches: One (6,) array for every load of the scene.
+
+        Raises:
+            SolveError: Muscles and reserves cannot produce the motion.
+        """
+        sharing = self._sharing
+        sharing.time, sharing.measured = x.stamp * NANOSECOND, self.measured.now()
+        if self.estimator.solve(x, wrenches) is None:
+            return None
+        self._violation = self.estimator.violation(x)
+        shares: Any = sharing.shares
+        frames = shares.frames
+        forces = self._muscle_forces.write(
+            x.stamp, position=frames.length[0], velocity=frames.speed[0], effort=shares.force[0]
+        )
+        activations = self._activations.write(shares.activation[0].tolist())
+        reserves = None
+        if self._reserves is not None:
+            reserves = self._reserves.write(x.stamp, effort=shares.reserve[0])
+        rows: Any = () if sharing.loads is None else sharing.loads
+        loads = [
+            write_wrench(msg, x.stamp, frame, row)
+            for msg, frame, row in zip(self._loads, self._frames, rows, strict=True)
+        ]
+        return MuscleAnswer(forces, activations, reserves, loads)
+
+    def health(self, tolerance: float) -> tuple[int, str]:
+        """Level and sentence; WARN as inverse dynamics does."""
+        level, text = super().health(tolerance)
+        return (level, "muscle forces published") if level == OK else (level, text)
+
+    def details(self) -> dict[str, str]:
+        """Contents and origin of the numbers, for diagnostics."""
+        asked = self._sharing.optimization
+        criterion = asked.wishes.criterion
+        return {
+            **super().details(),
+            "muscles": f"{len(asked.muscles)}, {len(asked.reserves)} reserves",
+            "shared by": f"{criterion.kind}, exponent {criterion.exponent:g}",
+            "passive force": "takes part" if asked.wishes.passive else "left out",
+            **self._sharing.details(),
+        }
+
+
+class MuscleAnswer(NamedTuple):
+    """Messages for one joint state.
+
+    Attributes:
+        forces: JointState of muscles: position = length, velocity = its rate, effort = tension.
+        activations: Float64MultiArray whose labels are muscles.
+        reserves: JointState of reserves, effort = force; None without any.
+        loads: WrenchStamped of each link.
+    """
+
+    forces: bytes
+    activations: bytes
+    reserves: bytes | None
+    loads: list[Any]
+
+
+class LiveSharing:
+    """Static optimisation as the solver of a stream of samples, with the face of `SampleSolver`.
+
+    Args:
+        optimization: Shares the efforts of a sample among the muscles.
         loads: Of joints; None without.
         coordinates: Names of the independent velocities.
 
@@ -147,7 +209,7 @@ class LiveSharing:
         return Torques(shares.needed[0], self._none, len(shares.needed[0]))
 
     def doubts(self) -> list[str]:
-        """As `SampleSolver.doubts`."""
+        """Reasons to doubt the newest answer."""
         found: list[str] = self.optimization.known.doubts()
         return found
 
@@ -176,117 +238,48 @@ class LiveSharing:
         return found
 
 
-class MuscleAnswer(NamedTuple):
-    """Messages for one joint state.
-
-    Attributes:
-        forces: JointState of muscles: position = length, velocity = its rate, effort = tension.
-        activations: Float64MultiArray whose labels are muscles.
-        reserves: JointState of reserves, effort = force; None without any.
-        loads: WrenchStamped of each link.
-    """
-
-    forces: bytes
-    activations: bytes
-    reserves: bytes | None
-    loads: list[Any]
-
-
-class MusclePipeline(Pipeline):
-    """Scene and solver of a configured node `muscle_forces`.
+class MeasuredActivations:
+    """Activations that arrive on a topic: the newest of each muscle, as long as it stands.
 
     Args:
-        values: Parameters of the node.
-        description: URDF, where the scene takes it from a topic.
-
-    Attributes:
-        links: Names for topics of the loads of joints.
-        measured: Activations that were measured.
+        names: Of the muscles.
+        max_age: How long a value stands [s].
+        clock: Steady time [s].
     """
 
-    def __init__(self, values: Any, description: str | None) -> None:
-        super().__init__(values, description)
-        scene = self.scene
-        if self.whole is not None:
-            raise MbdError(f"{scene.name}: muscle forces live: one fixed robot, no free bodies")
-        asked = muscles_task(scene, options(values), f"{scene.name}: muscles")
-        use = values.emg_use
-        wishes = asked.wishes._replace(
-            tracking=values.emg_weight if use == "track" else 0.0,
-            measured_is_least=use == "least",
-        )
-        optimization = replace(asked, wishes=wishes).solver(scene, is_live=True)
-        loads = asked.loads(scene)
-        names = coordinate_names(scene.robot, scene.couplings)
-        self._sharing = self._solver = LiveSharing(optimization, loads, names)
-        self.estimator = TorqueEstimator(scene.robot, self._sharing, tuning(values))
-        muscles = [muscle.name for muscle in optimization.muscles]
-        reserves = [reserve.name for reserve in optimization.reserves]
-        self.measured = MeasuredActivations(muscles, values.emg_max_age, monotonic)
-        self._muscle_forces = JointStateCdrWriter(muscles)
-        self._activations = MultiArrayCdrWriter(len(muscles), muscles)
-        self._reserves = JointStateCdrWriter(reserves, ("effort",)) if reserves else None
-        joined = () if loads is None else loads.joined
-        self.links = [one.link for one in joined]
-        axes = {"child": "link", "parent": "parent_link"}
-        attribute = axes.get(values.reactions)
-        self._frames = ["world" if attribute is None else getattr(j, attribute) for j in joined]
-        self._loads = [WrenchStamped() for _ in joined]
+    def __init__(self, names: Sequence[str], max_age: float, clock: Callable[[], float]) -> None:
+        self._at = {name: i for i, name in enumerate(names)}
+        self._max_age, self._clock = max_age, clock
+        self.clear()
 
-    def make_solver(self, values: Any) -> SampleSolver:
-        """Torques of joints, which come before those of muscles."""
-        return self.scene.inverse_dynamics()
+    def clear(self) -> None:
+        """Forget all."""
+        self._values = np.full(len(self._at), np.nan)
+        self._heard = np.full(len(self._at), -np.inf)
 
-    def reset(self) -> None:
-        """Forget the past."""
-        super().reset()
-        self._sharing.forget()
-        self.measured.clear()
-
-    def share(self, x: Observation, wrenches: Sequence[Any]) -> MuscleAnswer | None:
-        """Messages for an observation; None if what it needs is not finite.
-
-        Args:
-            x: The observation.
-            wrenches: One (6,) array for every load of the scene.
+    def take(self, msg: Any) -> None:
+        """Values of a Float64MultiArray whose layout labels are names of muscles.
 
         Raises:
-            SolveError: Muscles and reserves cannot produce the motion.
+            MessageError: Not one label a value, no label of a muscle, or a value outside 0 .. 1.
         """
-        sharing = self._sharing
-        sharing.time, sharing.measured = x.stamp * NANOSECOND, self.measured.now()
-        if self.estimator.solve(x, wrenches) is None:
-            return None
-        self._violation = self.estimator.violation(x)
-        shares: Any = sharing.shares
-        frames = shares.frames
-        forces = self._muscle_forces.write(
-            x.stamp, position=frames.length[0], velocity=frames.speed[0], effort=shares.force[0]
-        )
-        activations = self._activations.write(shares.activation[0].tolist())
-        reserves = None
-        if self._reserves is not None:
-            reserves = self._reserves.write(x.stamp, effort=shares.reserve[0])
-        rows: Any = () if sharing.loads is None else sharing.loads
-        loads = [
-            write_wrench(msg, x.stamp, frame, row)
-            for msg, frame, row in zip(self._loads, self._frames, rows, strict=True)
-        ]
-        return MuscleAnswer(forces, activations, reserves, loads)
+        labels = [dimension.label for dimension in msg.layout.dim]
+        if len(labels) != len(msg.data):
+            raise MessageError(
+                f"{len(labels)} labels for {len(msg.data)} values; expected one each"
+            )
+        found = [(self._at[n], v) for n, v in zip(labels, msg.data, strict=True) if n in self._at]
+        if not found:
+            raise MessageError(f"no label is a muscle; muscles are {', '.join(self._at)}")
+        for i, value in found:
+            if not 0.0 <= value <= 1.0:
+                name = list(self._at)[i]
+                raise MessageError(f"activation of {name} is {value:.6g}, accepted: 0 .. 1")
+        now = self._clock()
+        for i, value in found:
+            self._values[i], self._heard[i] = value, now
 
-    def health(self, tolerance: float) -> tuple[int, str]:
-        """As that of inverse dynamics."""
-        level, text = super().health(tolerance)
-        return (level, "muscle forces published") if level == OK else (level, text)
-
-    def details(self) -> dict[str, str]:
-        """Contents and origin of the numbers, for diagnostics."""
-        asked = self._sharing.optimization
-        criterion = asked.wishes.criterion
-        return {
-            **super().details(),
-            "muscles": f"{len(asked.muscles)}, {len(asked.reserves)} reserves",
-            "shared by": f"{criterion.kind}, exponent {criterion.exponent:g}",
-            "passive force": "takes part" if asked.wishes.passive else "left out",
-            **self._sharing.details(),
-        }
+    def now(self) -> Array:
+        """Values that stand, NaN for the others, shape (n,)."""
+        fresh = self._clock() - self._heard <= self._max_age
+        return np.where(fresh, self._values, np.nan)

@@ -1,4 +1,6 @@
-"""A built scene between messages: the whole of a machine that is measured in few places."""
+"""From a few measurements of a machine to messages with all of its state, and alarms."""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Sequence
@@ -24,60 +26,9 @@ from msg_adapters.joint_state import JointSample
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.wrench import write_wrench
 
-# Faults that may be named, as texts.
-
 _FORM = "<name>: <part>.<argument>=<number>, .."
-
-
-def hypothesis_systems(scene: Scene, found: Estimation, texts: Sequence[str]) -> dict[str, System]:
-    """Name -> the mechanism with other numbers in it.
-
-    Args:
-        scene: As it is thought to be, as it is read.
-        found: What is estimated of it.
-        texts: Of the parameter `hypotheses`.
-
-    Raises:
-        ParameterError: A text of another form, or a number that the scene does not have.
-    """
-    systems = {}
-    for text in texts:
-        name, _, given = text.partition(":")
-        if not name.strip() or not given.strip():
-            raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}")
-        try:
-            changed = scene.with_(_numbers(text, given))
-            systems[name.strip()] = made_ready(changed, found.task, found.disturbed).system()
-        except MbdError as error:
-            raise ParameterError(f"hypotheses: '{text}': {error}") from error
-    return systems
-
-
-def _numbers(text: str, given: str) -> dict[str, float]:
-    numbers = {}
-    for one in given.split(","):
-        key, _, value = one.partition("=")
-        try:
-            numbers[key.strip()] = float(value)
-        except ValueError as error:
-            raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}") from error
-    return numbers
-
-
 _NUMBERS = ("amplification", "multiplier_amplification", "time_to_singular", "is_singular")
 _ALL = "all"
-
-
-class TwinMessages(NamedTuple):
-    """What the twin says besides the estimate.
-
-    Attributes:
-        reactions: WrenchStamped by joint, in the axes of the joint on its child.
-        determination: Float64MultiArray, labelled, serialized.
-    """
-
-    reactions: dict[str, Any]
-    determination: bytes
 
 
 class TwinPipeline(EstimatorPipeline):
@@ -126,7 +77,7 @@ class TwinPipeline(EstimatorPipeline):
         return FaultNaming(self._system, systems, at, values.naming_window)
 
     def forget(self) -> None:
-        """As `EstimatorPipeline.forget`."""
+        """Forget the past, that of the watches too."""
         super().forget()
         self.determination = Determination(0.0, 1.0, math.inf)
         self.fault, self._began = Named("", {}, 0.0), 0.0
@@ -136,7 +87,7 @@ class TwinPipeline(EstimatorPipeline):
                 self._naming.forget()
 
     def answer(self, stamp: int, sample: JointSample) -> Answer:
-        """As `EstimatorPipeline.answer`, and watches what is measured."""
+        """Messages for a joint state, whose measurements are watched for faults."""
         answer = super().answer(stamp, sample)
         if not isinstance(answer, Taken):
             self._watch(sample)
@@ -224,7 +175,7 @@ class TwinPipeline(EstimatorPipeline):
         return WARN, "; ".join([*reasons, *([text] if level != OK else [])])
 
     def details(self) -> dict[str, str]:
-        """As `EstimatorPipeline.details`, and of the watches."""
+        """Of the newest estimate and the watches, for diagnostics."""
         found = self.determination
         shares = ", ".join(f"{name} {share:.2g}" for name, share in self.fault.shares.items())
         assert self._cusum is not None
@@ -236,3 +187,50 @@ class TwinPipeline(EstimatorPipeline):
             "fault": self.fault.name or "none",
             "unexplained by hypotheses": shares or "none compared",
         }
+
+
+class TwinMessages(NamedTuple):
+    """What the twin says besides the estimate.
+
+    Attributes:
+        reactions: WrenchStamped by joint, in the axes of the joint on its child.
+        determination: Float64MultiArray, labelled, serialized.
+    """
+
+    reactions: dict[str, Any]
+    determination: bytes
+
+
+def hypothesis_systems(scene: Scene, found: Estimation, texts: Sequence[str]) -> dict[str, System]:
+    """Name -> the mechanism with other numbers in it.
+
+    Args:
+        scene: As it is thought to be, as it is read.
+        found: What is estimated of it.
+        texts: Of the parameter `hypotheses`.
+
+    Raises:
+        ParameterError: A text of another form, or a number that the scene does not have.
+    """
+    systems = {}
+    for text in texts:
+        name, _, given = text.partition(":")
+        if not name.strip() or not given.strip():
+            raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}")
+        try:
+            changed = scene.with_(_numbers(text, given))
+            systems[name.strip()] = made_ready(changed, found.task, found.disturbed).system()
+        except MbdError as error:
+            raise ParameterError(f"hypotheses: '{text}': {error}") from error
+    return systems
+
+
+def _numbers(text: str, given: str) -> dict[str, float]:
+    numbers = {}
+    for one in given.split(","):
+        key, _, value = one.partition("=")
+        try:
+            numbers[key.strip()] = float(value)
+        except ValueError as error:
+            raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}") from error
+    return numbers
