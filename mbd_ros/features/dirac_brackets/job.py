@@ -24,40 +24,6 @@ _CHECKED, _WRITTEN = 12, 4  # coordinates up to which Jacobi's identity is check
 _LONG = 160  # characters of an expression that nobody asked for
 
 
-class PhaseSpace(NamedTuple):
-    """Coordinates and momenta of a scene, and its brackets.
-
-    Attributes:
-        names: Of the coordinates.
-        bracket: Its brackets.
-        q: The start, shape (n,).
-        v: Its velocities along the rows.
-        system: The system; `applied` gives forces on the coordinates.
-        a: Accelerations there by multipliers.
-    """
-
-    names: tuple[str, ...]
-    bracket: "DiracBracket"
-    q: Array
-    v: Array
-    system: Any
-    a: Array
-
-    @property
-    def momentum(self) -> Array:
-        """M v, shape (n,)."""
-        return self.bracket.momentum(self.q, self.v)
-
-    def motion(self) -> tuple[Array, Array]:
-        """Rates of (q, p), by the bracket with the energy and by multipliers, each (2 n,)."""
-        rate = self.bracket.mass_rate(self.q, self.v)
-        force = self.system.applied(0.0, self.q, self.v) + rate
-        table = self.bracket.table(self.q, self.momentum)
-        by_bracket = table.dot(np.concatenate((-force, self.v)))
-        mass = self.system.mass(self.q)
-        return by_bracket, np.concatenate((self.v, mass.dot(self.a) + rate))
-
-
 def bracket(scene: Any, *, symbolic: bool | None = None, say: Say | None = None) -> Result:
     """Dirac brackets of the coordinates and momenta of a scene at its start.
 
@@ -103,6 +69,59 @@ def bracket(scene: Any, *, symbolic: bool | None = None, say: Say | None = None)
     return Result(tables, metadata | ({} if say else {"remarks": remarks}))
 
 
+def _all_names(names: Sequence[str]) -> tuple[str, ...]:
+    return (*names, *(f"p_{name}" for name in names))
+
+
+def _lines(table: Array, names: Sequence[str], checks: dict[str, float]) -> Iterator[str]:
+    words = {"casimirs": "Casimirs", "motion": "motion by multipliers less that by the bracket"}
+    words["jacobi_identity"] = "Jacobi's identity"
+    yield "largest violations: " + ", ".join(f"{words[k]} {v:.2g}" for k, v in checks.items())
+    n = len(names) // 2
+    if n > _SHOWN:
+        return
+    wide = max(max(map(len, names)), 10)
+    for title, rows in (("{q, p}", range(n)), ("{p, p}", range(n, 2 * n))):
+        yield f"{title:<{wide}}  " + "  ".join(f"{name:>{wide}}" for name in names[n:])
+        for i in rows:
+            cells = "  ".join(f"{value:>{wide}.6g}" for value in table[i, n:] + 0.0)
+            yield f"{names[i]:<{wide}}  {cells}"
+
+
+class PhaseSpace(NamedTuple):
+    """Coordinates and momenta of a scene, and its brackets.
+
+    Attributes:
+        names: Of the coordinates.
+        bracket: Its brackets.
+        q: The start, shape (n,).
+        v: Its velocities along the rows.
+        system: The system; `applied` gives forces on the coordinates.
+        a: Accelerations there by multipliers.
+    """
+
+    names: tuple[str, ...]
+    bracket: "DiracBracket"
+    q: Array
+    v: Array
+    system: Any
+    a: Array
+
+    @property
+    def momentum(self) -> Array:
+        """M v, shape (n,)."""
+        return self.bracket.momentum(self.q, self.v)
+
+    def motion(self) -> tuple[Array, Array]:
+        """Rates of (q, p), by the bracket with the energy and by multipliers, each (2 n,)."""
+        rate = self.bracket.mass_rate(self.q, self.v)
+        force = self.system.applied(0.0, self.q, self.v) + rate
+        table = self.bracket.table(self.q, self.momentum)
+        by_bracket = table.dot(np.concatenate((-force, self.v)))
+        mass = self.system.mass(self.q)
+        return by_bracket, np.concatenate((self.v, mass.dot(self.a) + rate))
+
+
 def phase_space(scene: Any) -> PhaseSpace:
     """Coordinates, momenta and brackets of a scene.
 
@@ -110,16 +129,6 @@ def phase_space(scene: Any) -> PhaseSpace:
         SceneError: The scene has no brackets; says why.
     """
     return _of_particles(scene) if is_of_particles(scene) else _of_mechanism(scene)
-
-
-def _of_particles(scene: Any) -> PhaseSpace:
-    from mbd_ros.features.dirac_brackets.dirac_bracket import of_particles
-
-    system, x = scene.system(), scene.initial
-    names = tuple(f"{name}.{axis}" for name in system.names for axis in "xyz")
-    _refuse_many(scene.name, names)
-    found = of_particles(system, independent(system.jacobian(0.0, x.q)))
-    return PhaseSpace(names, found, x.q, x.v, system, system.accelerations(x.q, x.v)[0])
 
 
 def _of_mechanism(scene: Scene) -> PhaseSpace:
@@ -149,6 +158,16 @@ def _of_mechanism(scene: Scene) -> PhaseSpace:
     return PhaseSpace(tuple(names), found, y.q, y.v, system, a)
 
 
+def _of_particles(scene: Any) -> PhaseSpace:
+    from mbd_ros.features.dirac_brackets.dirac_bracket import of_particles
+
+    system, x = scene.system(), scene.initial
+    names = tuple(f"{name}.{axis}" for name in system.names for axis in "xyz")
+    _refuse_many(scene.name, names)
+    found = of_particles(system, independent(system.jacobian(0.0, x.q)))
+    return PhaseSpace(names, found, x.q, x.v, system, system.accelerations(x.q, x.v)[0])
+
+
 def _refuse(scene: Scene) -> None:
     if scene.phases or scene.parts.get("contacts"):
         what = "phases" if scene.phases else "contacts"
@@ -164,22 +183,3 @@ def _refuse(scene: Scene) -> None:
 def _refuse_many(name: str, names: Sequence[str]) -> None:
     if not 0 < len(names) <= _MOST:
         raise SceneError(f"{name}: {len(names)} coordinates, brackets serve 1 .. {_MOST}")
-
-
-def _all_names(names: Sequence[str]) -> tuple[str, ...]:
-    return (*names, *(f"p_{name}" for name in names))
-
-
-def _lines(table: Array, names: Sequence[str], checks: dict[str, float]) -> Iterator[str]:
-    words = {"casimirs": "Casimirs", "motion": "motion by multipliers less that by the bracket"}
-    words["jacobi_identity"] = "Jacobi's identity"
-    yield "largest violations: " + ", ".join(f"{words[k]} {v:.2g}" for k, v in checks.items())
-    n = len(names) // 2
-    if n > _SHOWN:
-        return
-    wide = max(max(map(len, names)), 10)
-    for title, rows in (("{q, p}", range(n)), ("{p, p}", range(n, 2 * n))):
-        yield f"{title:<{wide}}  " + "  ".join(f"{name:>{wide}}" for name in names[n:])
-        for i in rows:
-            cells = "  ".join(f"{value:>{wide}.6g}" for value in table[i, n:] + 0.0)
-            yield f"{names[i]:<{wide}}  {cells}"

@@ -1,5 +1,7 @@
 """Warnings of `simulate`: steps, residuals of contacts, windows of stiffness."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -24,14 +26,13 @@ from mbd_ros.methods.integration.stiffness_window import longest, pressed_motion
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.describe.check import depth_doubts, window_doubts, window_text, windows_at
 
-# ---- step check -------------------------------------------------------------------------------
-# Warnings of `simulate`: a motion that was too fast for its step.
-
-
 _LOOKS = 8  # states whose fastest rate is found, and the last one
 _FOLD_LOOKS = 2_000  # states whose rows are factorised
 _AT_REST = 1.0e-9  # of the velocity of a free fall as long: what does not move
 _TURN = 0.5  # change of velocity in a step, of the largest one in the motion
+UNITS = {"primal": "m/s", "dual": "N·s", "cone": "N·s", "correction": "m/s"}
+_WINDOW_CHECK_LOOKS = 8  # states whose window is found
+_DEPTHS = 2_000  # states whose depths are looked at
 
 
 def step_warnings(
@@ -128,48 +129,6 @@ def _folds(system: System, states: Sequence[State]) -> Iterator[str]:
         )
 
 
-# ---- residuals --------------------------------------------------------------------------------
-# What time-stepped contacts leave of their laws, as columns and as a line for people.
-
-
-UNITS = {"primal": "m/s", "dual": "N·s", "cone": "N·s", "correction": "m/s"}
-
-
-def with_residuals(table: Table, found: Sequence[Residuals]) -> Table:
-    """The table with the worst residuals of the steps that lead to each sample.
-
-    Args:
-        table: One row a sample; perhaps without the last ones.
-        found: One entry a sample.
-    """
-    values = np.array(found[: table.rows]).reshape(-1, len(UNITS))
-    columns = zip(UNITS.items(), values.T, strict=True)
-    more = [Column(f"contacts.residual.{name}", values, unit) for (name, unit), values in columns]
-    return Table([*table.columns, *more])
-
-
-def residual_line(found: Sequence[Residuals]) -> str:
-    """The worst residuals of a run.
-
-    Args:
-        found: One entry a sample.
-    """
-    worst = np.array(found).max(axis=0)
-    words = (
-        f"{name} {value:.2g} {unit}"
-        for (name, unit), value in zip(UNITS.items(), worst, strict=True)
-    )
-    return f"largest residuals of contacts: {', '.join(words)}"
-
-
-# ---- window check -----------------------------------------------------------------------------
-# What `simulate` says of contacts that give way: the window of their stiffness, and depths.
-
-
-_WINDOW_CHECK_LOOKS = 8  # states whose window is found
-_DEPTHS = 2_000  # states whose depths are looked at
-
-
 def window_words(
     simulation: Simulation, parts: Sequence[Any], states: Sequence[State]
 ) -> Iterator[str]:
@@ -217,3 +176,30 @@ def _outside(
                     f"{names}: too stiff at t = {x.t:.6g} s for steps of {method.title} "
                     f"at dt {dt:g} s: they need dt < {longest(group, method, 1.0):.3g} s there"
                 )
+
+
+def with_residuals(table: Table, found: Sequence[Residuals]) -> Table:
+    """The table with the worst residuals of the steps that lead to each sample.
+
+    Args:
+        table: One row a sample; perhaps without the last ones.
+        found: One entry a sample.
+    """
+    values = np.array(found[: table.rows]).reshape(-1, len(UNITS))
+    columns = zip(UNITS.items(), values.T, strict=True)
+    more = [Column(f"contacts.residual.{name}", values, unit) for (name, unit), values in columns]
+    return Table([*table.columns, *more])
+
+
+def residual_line(found: Sequence[Residuals]) -> str:
+    """The worst residuals of a run.
+
+    Args:
+        found: One entry a sample.
+    """
+    worst = np.array(found).max(axis=0)
+    words = (
+        f"{name} {value:.2g} {unit}"
+        for (name, unit), value in zip(UNITS.items(), worst, strict=True)
+    )
+    return f"largest residuals of contacts: {', '.join(words)}"

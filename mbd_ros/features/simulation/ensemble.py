@@ -1,5 +1,7 @@
 """Many runs of a scene into one table: `mbd-ros simulate --ensemble`."""
 
+from __future__ import annotations
+
 import base64
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -29,25 +31,137 @@ from mbd_ros.scene.numbers import found_place, places_of
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.batch import Batch, Runs
 
-# The rows of an ensemble: where each run starts, and with which numbers.
+_SHARES = 4  # tasks a worker
+_SHOWN = 5  # runs that an error names
 
 
-class Starts(NamedTuple):
-    """What differs from run to run, a row a run.
+def ensemble_to(
+    scene: Scene,
+    run: Run,
+    path: Path,
+    out: Path,
+    say: Say,
+    workers: int | None = None,
+    scheduler: str | None = None,
+) -> None:
+    """Simulate from every row of a file and write one table, `run` and `time` first.
 
-    Attributes:
-        names: Names of the parameters.
-        p: Their values.
-        q: Configurations of all joints.
-        v: Their velocities.
-        z: Internal states, NaN for their equilibrium.
+    Args:
+        scene: The scene.
+        run: The order; duration and options count.
+        path: Rows, see `read_starts`.
+        out: A table; its suffix chooses the format.
+        say: Is called with each line of the summary.
+        workers: How many cores work at the same time.
+        scheduler: Of a Dask cluster.
+
+    Raises:
+        Interrupted: Some runs ended early; the table has what they did before.
+        MbdError: Input that cannot be used, or a place that cannot be written to.
     """
+    refuse_overwriting(out, path)
+    if is_bag(out):
+        raise DataError(f"-o {out}: --ensemble writes one table: .csv, .csv.gz, .npz or .parquet")
+    check_place(out)
+    check_words(scene, run)
+    starts = read_starts(scene, path)
+    options = {**run.options, "dt": min(float(run.options.get("dt", scene.dt)), run.duration)}
+    try:
+        how, runs = _taken(scene, run.duration, starts, options, (workers, scheduler))
+    except MbdError as error:
+        raise type(error)(f"{path}: {error}") from error
+    say(how)
+    table = ensemble_table(scene, runs)
+    inputs = {"duration": run.duration, "ensemble": path, **options}
+    Result({MAIN: table}, metadata_of("simulate", scene, inputs, {})).to(out)
+    say(f"{len(runs.known)} runs, {table.rows} states -> {out}")
+    if runs.failures:
+        shown = [f"run {i} (line {i + 2}): {e}" for i, e in list(runs.failures.items())[:_SHOWN]]
+        more = len(runs.failures) - len(shown)
+        shown += [f"and {more} more"] if more else []
+        raise Interrupted(
+            f"{path}: {len(runs.failures)} of {len(runs.known)} runs ended early: "
+            f"{'; '.join(shown)}; what they did before is in {out}, beside the others"
+        )
 
-    names: tuple[str, ...]
-    p: Array
-    q: Array
-    v: Array
-    z: Array
+
+def _taken(
+    scene: Scene,
+    duration: float,
+    starts: Starts,
+    options: Mapping[str, Any],
+    where: tuple[int | None, str | None],
+) -> tuple[str, Runs]:
+    """How the runs were taken, and what they did."""
+    workers, scheduler = where
+    batch = Batch(scene, len(starts.q), parameters=starts.names, threads=workers, **options)
+    batch.prepare(starts.p)
+    is_spread = scheduler is not None or not (batch.is_side_by_side or workers == 1)
+    if len(starts.q) < 2 or scene.path is None or scene.code or not is_spread:
+        return batch.how, batch.run(duration, *starts[2:], starts.p if starts.names else None)
+    order = {"scene": str(scene.path), "duration": duration, "names": starts.names}
+    order["options"] = dict(options)
+    with open_workers(scheduler, workers or cores()) as opened:
+        size = -(-len(starts.q) // (_SHARES * max(opened.count, 1)))
+        firsts = range(0, len(starts.q), size)
+        tasks = [
+            Task(f"runs {first}", f"{__name__}:take", order | _part(starts, first, size))
+            for first in firsts
+        ]
+        found = {task.name: result for task, result in do_all(opened, tasks)}
+    return batch.how, _joined([found[task.name] for task in tasks], list(firsts))
+
+
+def _part(starts: Starts, first: int, size: int) -> dict[str, Any]:
+    some = slice(first, first + size)
+    return {name: getattr(starts, name)[some].tolist() for name in "pqvz"}
+
+
+def _joined(found: Sequence[Done], firsts: Sequence[int]) -> Runs:
+    """The runs of all tasks, in their order.
+
+    Raises:
+        DataError: A task has failed.
+    """
+    failures: dict[int, MbdError] = {}
+    for first, done in zip(firsts, found, strict=True):
+        if done.failure:
+            raise DataError(f"runs from {first} on: {done.failure}")
+        failures |= {first + i: MbdError(text) for i, text in done.value["failures"]}
+    return Runs(
+        np.concatenate(list(_states(found))),
+        np.concatenate([np.array(done.value["known"], np.int64) for done in found]),
+        failures,
+    )
+
+
+def _states(found: Sequence[Done]) -> Iterator[Array]:
+    for done in found:
+        raw = base64.b64decode(done.value["states"])
+        yield np.frombuffer(raw).reshape(done.value["shape"])
+
+
+def ensemble_table(scene: Scene, runs: Runs) -> Table:
+    """Columns `run`, counted from 0, `time`, joints, free bodies, internal states."""
+    n, samples, _ = runs.states.shape
+    is_known = np.arange(samples) < runs.known[:, None]
+    rows, number = runs.states[is_known], np.repeat(np.arange(n), runs.known)
+    robot, model = scene.robot, scene.robot.model
+    q, v, z = np.split(rows[:, 1:], (model.nq, model.nq + model.nv), axis=1)
+    joints, internals = robot.joints, scene.internals
+    return Table(
+        [
+            Column(RUN, number),
+            Column(TIME, rows[:, 0], "s"),
+            *joint_columns(joints, "position", q[:, [joint.q for joint in joints]]),
+            *joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]]),
+            *body_columns(robot, whole_bodies(robot, q, v, None)),
+            *(
+                Column(name, column, unit)
+                for name, unit, column in zip(internals.names, internals.units, z.T, strict=True)
+            ),
+        ]
+    )
 
 
 def read_starts(scene: Scene, path: Path) -> Starts:
@@ -117,113 +231,22 @@ def _accepted(scene: Scene) -> str:
     return f".position and .velocity of {joints}{internals}"
 
 
-_SHARES = 4  # tasks a worker
-_SHOWN = 5  # runs that an error names
+class Starts(NamedTuple):
+    """What differs from run to run, a row a run.
 
-
-def ensemble_to(
-    scene: Scene,
-    run: Run,
-    path: Path,
-    out: Path,
-    say: Say,
-    workers: int | None = None,
-    scheduler: str | None = None,
-) -> None:
-    """Simulate from every row of a file and write one table, `run` and `time` first.
-
-    Args:
-        scene: The scene.
-        run: The order; duration and options count.
-        path: Rows, see `read_starts`.
-        out: A table; its suffix chooses the format.
-        say: Is called with each line of the summary.
-        workers: How many cores work at the same time.
-        scheduler: Of a Dask cluster.
-
-    Raises:
-        Interrupted: Some runs ended early; the table has what they did before.
-        MbdError: Input that cannot be used, or a place that cannot be written to.
+    Attributes:
+        names: Names of the parameters.
+        p: Their values.
+        q: Configurations of all joints.
+        v: Their velocities.
+        z: Internal states, NaN for their equilibrium.
     """
-    refuse_overwriting(out, path)
-    if is_bag(out):
-        raise DataError(f"-o {out}: --ensemble writes one table: .csv, .csv.gz, .npz or .parquet")
-    check_place(out)
-    check_words(scene, run)
-    starts = read_starts(scene, path)
-    options = {**run.options, "dt": min(float(run.options.get("dt", scene.dt)), run.duration)}
-    try:
-        how, runs = _taken(scene, run.duration, starts, options, (workers, scheduler))
-    except MbdError as error:
-        raise type(error)(f"{path}: {error}") from error
-    say(how)
-    table = ensemble_table(scene, runs)
-    inputs = {"duration": run.duration, "ensemble": path, **options}
-    Result({MAIN: table}, metadata_of("simulate", scene, inputs, {})).to(out)
-    say(f"{len(runs.known)} runs, {table.rows} states -> {out}")
-    if runs.failures:
-        shown = [f"run {i} (line {i + 2}): {e}" for i, e in list(runs.failures.items())[:_SHOWN]]
-        more = len(runs.failures) - len(shown)
-        shown += [f"and {more} more"] if more else []
-        raise Interrupted(
-            f"{path}: {len(runs.failures)} of {len(runs.known)} runs ended early: "
-            f"{'; '.join(shown)}; what they did before is in {out}, beside the others"
-        )
 
-
-def ensemble_table(scene: Scene, runs: Runs) -> Table:
-    """Columns `run`, counted from 0, `time`, joints, free bodies, internal states."""
-    n, samples, _ = runs.states.shape
-    is_known = np.arange(samples) < runs.known[:, None]
-    rows, number = runs.states[is_known], np.repeat(np.arange(n), runs.known)
-    robot, model = scene.robot, scene.robot.model
-    q, v, z = np.split(rows[:, 1:], (model.nq, model.nq + model.nv), axis=1)
-    joints, internals = robot.joints, scene.internals
-    return Table(
-        [
-            Column(RUN, number),
-            Column(TIME, rows[:, 0], "s"),
-            *joint_columns(joints, "position", q[:, [joint.q for joint in joints]]),
-            *joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]]),
-            *body_columns(robot, whole_bodies(robot, q, v, None)),
-            *(
-                Column(name, column, unit)
-                for name, unit, column in zip(internals.names, internals.units, z.T, strict=True)
-            ),
-        ]
-    )
-
-
-def _taken(
-    scene: Scene,
-    duration: float,
-    starts: Starts,
-    options: Mapping[str, Any],
-    where: tuple[int | None, str | None],
-) -> tuple[str, Runs]:
-    """How the runs were taken, and what they did."""
-    workers, scheduler = where
-    batch = Batch(scene, len(starts.q), parameters=starts.names, threads=workers, **options)
-    batch.prepare(starts.p)
-    is_spread = scheduler is not None or not (batch.is_side_by_side or workers == 1)
-    if len(starts.q) < 2 or scene.path is None or scene.code or not is_spread:
-        return batch.how, batch.run(duration, *starts[2:], starts.p if starts.names else None)
-    order = {"scene": str(scene.path), "duration": duration, "names": starts.names}
-    order["options"] = dict(options)
-    with open_workers(scheduler, workers or cores()) as opened:
-        size = -(-len(starts.q) // (_SHARES * max(opened.count, 1)))
-        firsts = range(0, len(starts.q), size)
-        tasks = [
-            Task(f"runs {first}", f"{__name__}:take", order | _part(starts, first, size))
-            for first in firsts
-        ]
-        found = {task.name: result for task, result in do_all(opened, tasks)}
-    return batch.how, _joined([found[task.name] for task in tasks], list(firsts))
-
-
-def _part(starts: Starts, first: int, size: int) -> dict[str, Any]:
-    some = slice(first, first + size)
-    return {name: getattr(starts, name)[some].tolist() for name in "pqvz"}
+    names: tuple[str, ...]
+    p: Array
+    q: Array
+    v: Array
+    z: Array
 
 
 def take(order: Mapping[str, Any]) -> dict[str, Any]:
@@ -244,27 +267,3 @@ def take(order: Mapping[str, Any]) -> dict[str, Any]:
         "known": runs.known.tolist(),
         "failures": [[i, str(error)] for i, error in runs.failures.items()],
     }
-
-
-def _joined(found: Sequence[Done], firsts: Sequence[int]) -> Runs:
-    """The runs of all tasks, in their order.
-
-    Raises:
-        DataError: A task has failed.
-    """
-    failures: dict[int, MbdError] = {}
-    for first, done in zip(firsts, found, strict=True):
-        if done.failure:
-            raise DataError(f"runs from {first} on: {done.failure}")
-        failures |= {first + i: MbdError(text) for i, text in done.value["failures"]}
-    return Runs(
-        np.concatenate(list(_states(found))),
-        np.concatenate([np.array(done.value["known"], np.int64) for done in found]),
-        failures,
-    )
-
-
-def _states(found: Sequence[Done]) -> Iterator[Array]:
-    for done in found:
-        raw = base64.b64decode(done.value["states"])
-        yield np.frombuffer(raw).reshape(done.value["shape"])

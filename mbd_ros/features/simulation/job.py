@@ -1,21 +1,27 @@
-"""Forward simulation of a scene, into files: `mbd-ros simulate`."""
+"""Forward simulation of a scene: `mbd-ros simulate`."""
 
 import math
 import sys
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.complementarity.contact_problem import Residuals
 from mbd_ros.core.dynamics.system import phase_names
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.ranges import SHORTEST_DT
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SAME_TIME, TOGGLE
 from mbd_ros.errors import FAILED, INTERRUPTED, DataError, DivergedError, MbdError, SolveError
-from mbd_ros.features.simulation.checks import step_warnings
+from mbd_ros.features.simulation.checks import (
+    residual_line,
+    step_warnings,
+    window_words,
+    with_residuals,
+)
 from mbd_ros.features.simulation.events import EVENTS, event_table
 from mbd_ros.features.simulation.run import (
     Run,
@@ -39,69 +45,7 @@ from mbd_ros.motion.state_table import BALANCE, table_of, topics_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
 
-if TYPE_CHECKING:
-    from mbd_ros.core.complementarity.contact_problem import Residuals
-
-
-# ---- job --------------------------------------------------------------------------------------
-# Forward simulation of a scene.
-
-
-# What a simulation did, in lines for people.
-
 _HANDED_OVER = "compiled ones do not take rows near dependence, nor states that are not finite"
-
-
-def summary(simulation: Simulation, table: Table, wall: float, evaluations: int) -> Iterator[str]:
-    """Lines on the steps that were taken, their cost, and what they kept.
-
-    Args:
-        simulation: After its run.
-        table: The samples.
-        wall: Time that the run took [s].
-        evaluations: How often accelerations were computed.
-    """
-    duration = table[TIME][-1] - table[TIME][0]
-    energy, position, velocity = (table[name] for name in BALANCE)
-    change = float(np.abs(energy - energy[0]).max())
-    per_step = evaluations / max(simulation.steps, 1)
-    method = simulation.integrator.title
-    yield (
-        f"{method}, tier {tier_of(simulation.system)}: {simulation.steps} steps, {evaluations} "
-        f"evaluations ({per_step:.2f} a step)"
-    )
-    if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.handed_over:
-        yield f"{simulation.stepper.handed_over} of the steps were plain: {_HANDED_OVER}"
-    yield f"{wall:.3f} s for {duration:g} s, real-time factor {duration / max(wall, 1e-9):.1f}"
-    yield f"energy {energy[0]:.6g} J, largest change {change:.3g} J"
-    yield f"largest violation: position {position.max():.2g}, velocity {velocity.max():.2g}"
-    if phases := phase_names(simulation.system):
-        ends = [event.before.mode[0] for event in simulation.events if event.ends_phase]
-        counts = (f"{name} {ends.count(i)} times" for i, name in enumerate(phases))
-        yield f"phases ended: {', '.join(counts)}"
-    condition, t = simulation.worst
-    if 1.0 < condition < np.inf:
-        doubt = "; near a toggle, multipliers there are unreliable" if condition > TOGGLE else ""
-        yield f"condition number of the rows up to {condition:.2g}, at t = {t:g} s{doubt}"
-    if simulation.system.bounded is not None:
-        s = simulation.system.bounded.qp.statistics
-        yield f"QP: {s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
-
-
-class Interrupted(MbdError):
-    """A simulation that ended early.
-
-    Attributes:
-        result: The motion so far; None once it is in a file.
-        exit_code: Of the command line.
-    """
-
-    exit_code = FAILED
-    result: Result | None = None
-
-
-class _CtrlC(MbdError):
-    """Ctrl-C, as the reason why a simulation ended."""
 
 
 def simulate(
@@ -162,7 +106,7 @@ def simulate(
 
 
 def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
-    """See `simulate`."""
+    """Do what `simulate` describes, by an order."""
     check_words(scene, run)
     if not scene.robot.model.nv:
         raise DataError(f"{scene.name}: no joint of the robot moves, so there is no motion")
@@ -207,26 +151,20 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     return result
 
 
-def _say_windows(scene: Scene, simulation: Simulation, states: Sequence[State], say: Say) -> None:
-    """Say what is to be said of contacts that give way, also where the motion diverged."""
-    parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
-    if parts and states:
-        from mbd_ros.features.simulation.checks import window_words
+class Interrupted(MbdError):
+    """A simulation that ended early.
 
-        for text in window_words(simulation, parts, states):
-            say(text)
+    Attributes:
+        result: The motion so far; None once it is in a file.
+        exit_code: Of the command line.
+    """
+
+    exit_code = FAILED
+    result: Result | None = None
 
 
-def _ended(scene: Scene, result: Result, failure: MbdError) -> Result:
-    """The result of a simulation that ended early; raised unless Ctrl-C ended it."""
-    if not result[MAIN].rows:
-        raise type(failure)(f"{scene.name}: {failure}") from failure
-    result.metadata["ended"] = str(failure)
-    if isinstance(failure, _CtrlC):
-        return result
-    early = Interrupted(str(failure))
-    early.result = result
-    raise early from failure
+class _CtrlC(MbdError):
+    """Ctrl-C, as the reason why a simulation ended."""
 
 
 def _interval(scene: Scene, run: Run) -> float:
@@ -234,23 +172,9 @@ def _interval(scene: Scene, run: Run) -> float:
     return min(float(run.options.get("dt", scene.dt)), run.duration)
 
 
-def _duration(run: Run, dt: float) -> float:
-    """That of the run, without a last interval that is too short to have a stamp of its own."""
-    count = math.floor(run.duration / dt + SAME_TIME)
-    is_sliver = SAME_TIME * dt < run.duration - count * dt < SHORTEST_DT
-    return count * dt if is_sliver else run.duration
-
-
-def _warn(text: str) -> None:
-    """Warn at once, while the run continues."""
-    erased = "\r\x1b[K" if sys.stderr.isatty() else ""  # the line of `progress`
-    sys.stderr.write(f"{erased}warning: {text}\n")
-    sys.stderr.flush()
-
-
 def _states(
     simulation: Simulation, x: State, run: Run
-) -> "tuple[list[State], list[Residuals], list[Array | None], MbdError | None]":
+) -> tuple[list[State], list[Residuals], list[Array | None], MbdError | None]:
     """States, residuals and forces of contacts on the way to each, and why they end early."""
     states: list[State] = []
     residuals: list[Residuals] = []
@@ -274,17 +198,81 @@ def _states(
     return states, residuals, forces, None
 
 
-def _with_residuals(table: Table, found: "list[Residuals]") -> tuple[Table, list[str]]:
+def _duration(run: Run, dt: float) -> float:
+    """That of the run, without a last interval that is too short to have a stamp of its own."""
+    count = math.floor(run.duration / dt + SAME_TIME)
+    is_sliver = SAME_TIME * dt < run.duration - count * dt < SHORTEST_DT
+    return count * dt if is_sliver else run.duration
+
+
+def _warn(text: str) -> None:
+    """Warn at once, while the run continues."""
+    erased = "\r\x1b[K" if sys.stderr.isatty() else ""  # the line of `progress`
+    sys.stderr.write(f"{erased}warning: {text}\n")
+    sys.stderr.flush()
+
+
+def _say_windows(scene: Scene, simulation: Simulation, states: Sequence[State], say: Say) -> None:
+    """Say what is to be said of contacts that give way, also where the motion diverged."""
+    parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
+    if parts and states:
+        for text in window_words(simulation, parts, states):
+            say(text)
+
+
+def _with_residuals(table: Table, found: list[Residuals]) -> tuple[Table, list[str]]:
     """The table with residuals of contacts, if there are any, and a line on them."""
     if not found:
         return table, []
-    from mbd_ros.features.simulation.checks import residual_line, with_residuals
-
     return with_residuals(table, found), [residual_line(found)]
 
 
-# ---- to file ----------------------------------------------------------------------------------
-# A simulation into files: `mbd-ros simulate`.
+def _ended(scene: Scene, result: Result, failure: MbdError) -> Result:
+    """The result of a simulation that ended early; raised unless Ctrl-C ended it."""
+    if not result[MAIN].rows:
+        raise type(failure)(f"{scene.name}: {failure}") from failure
+    result.metadata["ended"] = str(failure)
+    if isinstance(failure, _CtrlC):
+        return result
+    early = Interrupted(str(failure))
+    early.result = result
+    raise early from failure
+
+
+def summary(simulation: Simulation, table: Table, wall: float, evaluations: int) -> Iterator[str]:
+    """Lines on the steps that were taken, their cost, and what they kept.
+
+    Args:
+        simulation: After its run.
+        table: The samples.
+        wall: Time that the run took [s].
+        evaluations: How often accelerations were computed.
+    """
+    duration = table[TIME][-1] - table[TIME][0]
+    energy, position, velocity = (table[name] for name in BALANCE)
+    change = float(np.abs(energy - energy[0]).max())
+    per_step = evaluations / max(simulation.steps, 1)
+    method = simulation.integrator.title
+    yield (
+        f"{method}, tier {tier_of(simulation.system)}: {simulation.steps} steps, {evaluations} "
+        f"evaluations ({per_step:.2f} a step)"
+    )
+    if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.handed_over:
+        yield f"{simulation.stepper.handed_over} of the steps were plain: {_HANDED_OVER}"
+    yield f"{wall:.3f} s for {duration:g} s, real-time factor {duration / max(wall, 1e-9):.1f}"
+    yield f"energy {energy[0]:.6g} J, largest change {change:.3g} J"
+    yield f"largest violation: position {position.max():.2g}, velocity {velocity.max():.2g}"
+    if phases := phase_names(simulation.system):
+        ends = [event.before.mode[0] for event in simulation.events if event.ends_phase]
+        counts = (f"{name} {ends.count(i)} times" for i, name in enumerate(phases))
+        yield f"phases ended: {', '.join(counts)}"
+    condition, t = simulation.worst
+    if 1.0 < condition < np.inf:
+        doubt = "; near a toggle, multipliers there are unreliable" if condition > TOGGLE else ""
+        yield f"condition number of the rows up to {condition:.2g}, at t = {t:g} s{doubt}"
+    if simulation.system.bounded is not None:
+        s = simulation.system.bounded.qp.statistics
+        yield f"QP: {s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
 
 
 def simulate_to(scene: Scene, run: Run, out: Path, say: Say, events: Path | None = None) -> None:
@@ -311,17 +299,50 @@ def simulate_to(scene: Scene, run: Run, out: Path, say: Say, events: Path | None
         check_place(place)
     if events is not None:
         _check_events(scene, run, events, out)
+    write_result(places, lambda: run_simulation(scene, run, say), say)
+
+
+def write_result(places: Sequence[Path], simulation: Callable[[], Result], say: Say) -> None:
+    """Write the result of a simulation; where it ends early, the motion so far.
+
+    Args:
+        places: The file of the result, and perhaps one of its events alone.
+        simulation: Simulates; Ctrl-C may end it.
+        say: Is called with a line for each file.
+
+    Raises:
+        Interrupted: The simulation ended early; names the files of `diverged_place`.
+    """
     try:
-        result = run_simulation(scene, run, say)
+        result = simulation()
     except Interrupted as early:
         assert early.result is not None
-        raise Interrupted(f"{early}; {kept(places, early.result)}") from early
+        raise Interrupted(f"{early}; {_kept(places, early.result)}") from early
     if "ended" in result.metadata:
-        stopped = Interrupted(f"{result.metadata['ended']}; {kept(places, result)}")
+        stopped = Interrupted(f"{result.metadata['ended']}; {_kept(places, result)}")
         stopped.exit_code = INTERRUPTED
         raise stopped
-    for text in written(result, out, events):
+    for text in _written(result, *places):
         say(text)
+
+
+def _written(result: Result, out: Path, events: Path | None = None) -> Iterator[str]:
+    """Write the files; a text for each."""
+    result.to(out)
+    yield f"{result[MAIN].rows} states -> {out}"
+    if events is not None:
+        options = {"table": EVENTS} if format_of(events).one_table else {}
+        Result({EVENTS: result[EVENTS]}, result.metadata).to(events, **options)
+        yield f"{result[EVENTS].rows} events -> {events}"
+
+
+def _kept(places: Sequence[Path], result: Result) -> str:
+    """Write the motion so far; a failure must not hide why the run ended."""
+    try:
+        texts = list(_written(result, *map(diverged_place, places)))
+    except DataError as error:
+        return f"the states so far are lost: {error}"
+    return ", ".join(text.replace(" -> ", " so far are in ") for text in texts)
 
 
 def diverged_place(out: Path) -> Path:
@@ -346,22 +367,3 @@ def _check_events(scene: Scene, run: Run, events: Path, out: Path) -> None:
         raise DataError(f"--events {events}: is -o, choose another name")
     if not scene.simulation(**run.options).guards:
         raise DataError(f"--events: nothing in {scene.name} happens at one time, such as impacts")
-
-
-def written(result: Result, out: Path, events: Path | None = None) -> Iterator[str]:
-    """Write the files; a text for each."""
-    result.to(out)
-    yield f"{result[MAIN].rows} states -> {out}"
-    if events is not None:
-        options = {"table": EVENTS} if format_of(events).one_table else {}
-        Result({EVENTS: result[EVENTS]}, result.metadata).to(events, **options)
-        yield f"{result[EVENTS].rows} events -> {events}"
-
-
-def kept(places: Sequence[Path], result: Result) -> str:
-    """Write the motion so far; a failure must not hide why the run ended."""
-    try:
-        texts = list(written(result, *map(diverged_place, places)))
-    except DataError as error:
-        return f"the states so far are lost: {error}"
-    return ", ".join(text.replace(" -> ", " so far are in ") for text in texts)

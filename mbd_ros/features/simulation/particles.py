@@ -1,4 +1,4 @@
-"""Motion of the particles of a scene."""
+"""Motion of the particles of a scene: `mbd-ros simulate`."""
 
 import argparse
 import math
@@ -11,8 +11,8 @@ import numpy as np
 
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array, State
-from mbd_ros.errors import INTERRUPTED, OK, DataError, DivergedError, MbdError
-from mbd_ros.features.simulation.job import Interrupted, diverged_place, kept, written
+from mbd_ros.errors import OK, DataError, DivergedError, MbdError
+from mbd_ros.features.simulation.job import Interrupted, diverged_place, write_result
 from mbd_ros.features.simulation.run import MOST_ROWS
 from mbd_ros.files.formats import format_of, is_bag, suffix_of
 from mbd_ros.files.output_file import check_place, refuse_overwriting
@@ -27,92 +27,12 @@ from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.particles.particle_scene import ParticleScene
 from mbd_ros.scene.particles.particles_entry import QUANTITIES
 
-# Samples of the motion of particles, and their table.
-
 MANY = 100  # particles from which on they have no columns of their own
 _AXES = "xyz"
-
-
-class ParticleSample(NamedTuple):
-    """What is kept of a state; arrays that nobody asked for are empty."""
-
-    balance: tuple[float, ...]
-    positions: Array
-    velocities: Array
-    multipliers: Array
-
-
-def wanted_quantities(scene: ParticleScene) -> Sequence[str]:
-    """Quantities that samples hold, beside energies."""
-    if scene.record.quantities is not None:
-        return scene.record.quantities
-    return QUANTITIES if len(scene.system().masses) <= MANY else ()
-
-
-def sample_of(system: ParticleSystem, x: State, wanted: Sequence[str]) -> ParticleSample:
-    """What is kept of a state.
-
-    Raises:
-        DivergedError: Its energy is not finite.
-    """
-    none = np.zeros(0)
-    force, of_pairs = system.force_and_energy(x.q)
-    kinetic, potential = system.kinetic(x.v), system.potential_of_molecules(x.q) + of_pairs
-    drifts = (system.residual(x.t, x.q), system.rate_of_rows(x.q, x.v))
-    worst = (float(np.abs(drift).max(initial=0.0)) for drift in drifts)
-    if not math.isfinite(kinetic + potential):
-        raise DivergedError(f"energy is not finite at t = {x.t:.9g}")
-    return ParticleSample(
-        (x.t, kinetic + potential, kinetic, potential, *worst),
-        x.q if "positions" in wanted else none,
-        x.v if "velocities" in wanted else none,
-        system.multipliers(x.q, x.v, force) if "multipliers" in wanted else none,
-    )
-
-
-def sample_table(scene: ParticleScene, samples: Sequence[ParticleSample]) -> Table:
-    """Samples as a table, a row each."""
-    units, rows = scene.units, len(samples)
-    balance = np.array([sample.balance for sample in samples])
-    names = {
-        TIME: units.time,
-        "energy": units.energy,
-        "energy.kinetic": units.energy,
-        "energy.potential": units.energy,
-        "drift.position": units.length,
-        "drift.velocity": units.velocity,
-    }
-    columns = [Column(n, balance[:, i], unit) for i, (n, unit) in enumerate(names.items())]
-    arrays = [np.array([sample[k] for sample in samples]).reshape(rows, -1) for k in (1, 2, 3)]
-    return Table([columns[0], *_state_columns(scene, units, arrays), *columns[1:]])
-
-
-def _state_columns(
-    scene: ParticleScene, units: Units, arrays: Sequence[Array]
-) -> Iterator[Column]:
-    """Columns of the particles: scalars of a few, arrays of many."""
-    system = scene.system()
-    kinds = zip(("position", "velocity"), (units.length, units.velocity), arrays[:2], strict=True)
-    for word, unit, values in kinds:
-        if not values.shape[1]:
-            continue
-        if len(system.masses) > MANY:
-            shaped = values.reshape(len(values), -1, 3)
-            yield Column(
-                {"position": QUANTITIES[0], "velocity": QUANTITIES[1]}[word], shaped, unit
-            )
-            continue
-        labels = (f"{name}.{word}.{axis}" for name in system.names for axis in _AXES)
-        yield from (Column(label, values[:, i], unit) for i, label in enumerate(labels))
-    lam = arrays[2]
-    if lam.shape[1] and len(system.masses) > MANY:
-        yield Column(QUANTITIES[2], lam, units.force)
-    elif lam.shape[1]:
-        yield from (Column(row.name, lam[:, i], row.unit) for i, row in enumerate(system.rows))
-
-
-_OF_ROBOTS = ("tolerance", "origin", "start", "efforts", "wrenches", "ensemble")
-_OF_ROBOTS_TOO = ("workers", "scheduler", "events", "task")
+_OF_ROBOTS = (  # options that particles do not have
+    *("tolerance", "origin", "start", "efforts", "wrenches", "ensemble"),
+    *("workers", "scheduler", "events", "task"),
+)
 
 
 def simulate(
@@ -196,6 +116,15 @@ def _check_times(duration: float, dt: float, every: int) -> None:
         )
 
 
+class ParticleSample(NamedTuple):
+    """What is kept of a state; arrays that nobody asked for are empty."""
+
+    balance: tuple[float, ...]
+    positions: Array
+    velocities: Array
+    multipliers: Array
+
+
 def _samples(
     scene: ParticleScene, stepper: ParticleVerlet, times: tuple[float, float, int]
 ) -> tuple[list[ParticleSample], MbdError | KeyboardInterrupt | None]:
@@ -214,6 +143,68 @@ def _samples(
             raise
         return samples, error
     return samples, None
+
+
+def sample_of(system: ParticleSystem, x: State, wanted: Sequence[str]) -> ParticleSample:
+    """What is kept of a state.
+
+    Raises:
+        DivergedError: Its energy is not finite.
+    """
+    none = np.zeros(0)
+    force, of_pairs = system.force_and_energy(x.q)
+    kinetic, potential = system.kinetic(x.v), system.potential_of_molecules(x.q) + of_pairs
+    drifts = (system.residual(x.t, x.q), system.rate_of_rows(x.q, x.v))
+    worst = (float(np.abs(drift).max(initial=0.0)) for drift in drifts)
+    if not math.isfinite(kinetic + potential):
+        raise DivergedError(f"energy is not finite at t = {x.t:.9g}")
+    return ParticleSample(
+        (x.t, kinetic + potential, kinetic, potential, *worst),
+        x.q if "positions" in wanted else none,
+        x.v if "velocities" in wanted else none,
+        system.multipliers(x.q, x.v, force) if "multipliers" in wanted else none,
+    )
+
+
+def sample_table(scene: ParticleScene, samples: Sequence[ParticleSample]) -> Table:
+    """Samples as a table, a row each."""
+    units, rows = scene.units, len(samples)
+    balance = np.array([sample.balance for sample in samples])
+    names = {
+        TIME: units.time,
+        "energy": units.energy,
+        "energy.kinetic": units.energy,
+        "energy.potential": units.energy,
+        "drift.position": units.length,
+        "drift.velocity": units.velocity,
+    }
+    columns = [Column(n, balance[:, i], unit) for i, (n, unit) in enumerate(names.items())]
+    arrays = [np.array([sample[k] for sample in samples]).reshape(rows, -1) for k in (1, 2, 3)]
+    return Table([columns[0], *_state_columns(scene, units, arrays), *columns[1:]])
+
+
+def _state_columns(
+    scene: ParticleScene, units: Units, arrays: Sequence[Array]
+) -> Iterator[Column]:
+    """Columns of the particles: scalars of a few, arrays of many."""
+    system = scene.system()
+    kinds = zip(("position", "velocity"), (units.length, units.velocity), arrays[:2], strict=True)
+    for word, unit, values in kinds:
+        if not values.shape[1]:
+            continue
+        if len(system.masses) > MANY:
+            shaped = values.reshape(len(values), -1, 3)
+            yield Column(
+                {"position": QUANTITIES[0], "velocity": QUANTITIES[1]}[word], shaped, unit
+            )
+            continue
+        labels = (f"{name}.{word}.{axis}" for name in system.names for axis in _AXES)
+        yield from (Column(label, values[:, i], unit) for i, label in enumerate(labels))
+    lam = arrays[2]
+    if lam.shape[1] and len(system.masses) > MANY:
+        yield Column(QUANTITIES[2], lam, units.force)
+    elif lam.shape[1]:
+        yield from (Column(row.name, lam[:, i], row.unit) for i, row in enumerate(system.rows))
 
 
 def _summary(
@@ -238,9 +229,9 @@ def run(scene: ParticleScene, arguments: argparse.Namespace) -> int:
     """Do what the words of the command say; the exit code.
 
     Raises:
-        MbdError: An option that particles do not have, or as `simulate`.
+        MbdError: An option that particles do not have, or input that cannot be used.
     """
-    for name in (*_OF_ROBOTS, *_OF_ROBOTS_TOO):
+    for name in _OF_ROBOTS:
         if getattr(arguments, name) is not None:
             word = "from" if name == "origin" else name
             raise DataError(f"--{word}: is not for {scene.name}, which holds particles")
@@ -250,18 +241,12 @@ def run(scene: ParticleScene, arguments: argparse.Namespace) -> int:
     if arguments.time is None:
         raise DataError("-t: is missing: give the time to simulate, in the unit of the scene")
     _check_place(arguments.out, scene)
-    try:
-        options = {"dt": arguments.dt, "integrator": arguments.integrator}
-        result = simulate(scene, arguments.time, say=say, progress=True, **options)
-    except Interrupted as early:
-        assert early.result is not None
-        raise Interrupted(f"{early}; {kept([arguments.out], early.result)}") from early
-    if "ended" in result.metadata:
-        stopped = Interrupted(f"{result.metadata['ended']}; {kept([arguments.out], result)}")
-        stopped.exit_code = INTERRUPTED
-        raise stopped
-    for text in written(result, arguments.out):
-        say(text)
+    options = {"dt": arguments.dt, "integrator": arguments.integrator}
+    write_result(
+        [arguments.out],
+        lambda: simulate(scene, arguments.time, say=say, progress=True, **options),
+        say,
+    )
     return OK
 
 
@@ -278,3 +263,10 @@ def _check_place(out: Path, scene: ParticleScene) -> None:
     for place in (out, diverged_place(out)):
         refuse_overwriting(place, *([scene.path] if scene.path else []))
     check_place(out)
+
+
+def wanted_quantities(scene: ParticleScene) -> Sequence[str]:
+    """Quantities that samples hold, beside energies."""
+    if scene.record.quantities is not None:
+        return scene.record.quantities
+    return QUANTITIES if len(scene.system().masses) <= MANY else ()

@@ -1,4 +1,4 @@
-"""A simulation: its first state, commands and loads, its order and its checks."""
+"""The order of a simulation, and what it begins with: first state, commands and loads."""
 
 import inspect
 import math
@@ -12,7 +12,7 @@ import numpy as np
 from mbd_ros.core.contracts import Load
 from mbd_ros.core.kinematics.poses import configuration_of
 from mbd_ros.core.loads.inputs import HeldTable, LinearTable, command_names
-from mbd_ros.core.loads.inputs import Source as InputSourcesSource
+from mbd_ros.core.loads.inputs import Source as InputSource
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import refuse_dt
 from mbd_ros.core.state import NANOSECOND, Array, Motion, State
@@ -23,15 +23,10 @@ from mbd_ros.jobs.arguments import about
 from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.motion.external_loads import refuse_unused
 from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion, read_wrenches
-from mbd_ros.motion.recordings import Source as Recorded
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.part_entries import Solver
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import PARTS, resolve
-
-# ---- run --------------------------------------------------------------------------------------
-# The order of a simulation, and its checks.
-
 
 MOST_ROWS = 10_000_000  # some kilobytes each until they are written
 _RESOLVED = 64.0  # rounding errors of the time that a step must be longer than
@@ -66,59 +61,6 @@ class Run:
         asked = {"duration": self.duration, "start": self.start, **self.options}
         files = {"from": self.origin, "efforts": self.efforts, "wrenches": self.wrenches}
         return asked | files
-
-
-def check_words(scene: Scene, run: Run) -> None:
-    """Refuse an impossible order before anything is read.
-
-    Raises:
-        MbdError: Names the option, what is wrong with it and what is accepted.
-    """
-    _check_times(scene, run)
-    if "solver" in run.options:
-        schema.call(Solver, run.options["solver"], "--solver")
-
-
-def _check_times(scene: Scene, run: Run) -> None:
-    """Every output time must be a stamp of its own."""
-    dt = run.options.get("dt", scene.dt)
-    refuse_dt(run.duration, "-t", DataError)
-    refuse_dt(dt, "--dt", DataError)
-    end = run.start + run.duration
-    if not max(abs(run.start), abs(end)) <= TIME_LIMIT:
-        raise DataError(
-            f"--start: {run.start:g} s must be finite, the simulation within {TIME_LIMIT:g} s"
-        )
-    shown = _shown(scene, run)
-    if dt < _RESOLVED * math.ulp(max(abs(run.start), abs(end))):
-        raise DataError(f"{shown} is lost in rounding between {run.start:g} and {end:g} s")
-    if run.duration / dt > MOST_ROWS:
-        raise DataError(
-            f"{shown}: {run.duration / dt:.3g} rows in -t {run.duration:g} s, accepted are "
-            f"{MOST_ROWS:g}; with --tolerance, dt is no more than the interval of the output"
-        )
-
-
-def check_stamps(scene: Scene, run: Run, out: Path) -> None:
-    """Refuse times that the stamps of a bag cannot carry.
-
-    Raises:
-        DataError: Names the option.
-    """
-    dt = run.options.get("dt", scene.dt)
-    if is_bag(out) and run.start < 0:
-        raise DataError(f"--start: {run.start:g} s: the stamps of a bag are >= 0")
-    if is_bag(out) and run.start == 0 and dt < 1.5 * NANOSECOND:
-        raise DataError(
-            f"{_shown(scene, run)}: the stamps of a bag begin with 1 ns, so it must be >= 2e-09 s"
-        )
-
-
-def _shown(scene: Scene, run: Run) -> str:
-    """Origin and value of the step."""
-    if "dt" in run.options:
-        return f"--dt: {run.options['dt']:g} s"
-    return f"{scene.name}: dt: {scene.dt:g} s"
 
 
 def options_of(
@@ -191,8 +133,57 @@ def _with_tolerance() -> list[str]:
     return [name for name, k in kinds.items() if "tolerance" in inspect.signature(k).parameters]
 
 
-# ---- inputs -----------------------------------------------------------------------------------
-# Inputs of a simulation: its first state, commands and loads.
+def check_words(scene: Scene, run: Run) -> None:
+    """Refuse an impossible order before anything is read.
+
+    Raises:
+        MbdError: Names the option, what is wrong with it and what is accepted.
+    """
+    _check_times(scene, run)
+    if "solver" in run.options:
+        schema.call(Solver, run.options["solver"], "--solver")
+
+
+def _check_times(scene: Scene, run: Run) -> None:
+    """Every output time must be a stamp of its own."""
+    dt = run.options.get("dt", scene.dt)
+    refuse_dt(run.duration, "-t", DataError)
+    refuse_dt(dt, "--dt", DataError)
+    end = run.start + run.duration
+    if not max(abs(run.start), abs(end)) <= TIME_LIMIT:
+        raise DataError(
+            f"--start: {run.start:g} s must be finite, the simulation within {TIME_LIMIT:g} s"
+        )
+    shown = _shown(scene, run)
+    if dt < _RESOLVED * math.ulp(max(abs(run.start), abs(end))):
+        raise DataError(f"{shown} is lost in rounding between {run.start:g} and {end:g} s")
+    if run.duration / dt > MOST_ROWS:
+        raise DataError(
+            f"{shown}: {run.duration / dt:.3g} rows in -t {run.duration:g} s, accepted are "
+            f"{MOST_ROWS:g}; with --tolerance, dt is no more than the interval of the output"
+        )
+
+
+def _shown(scene: Scene, run: Run) -> str:
+    """Origin and value of the step."""
+    if "dt" in run.options:
+        return f"--dt: {run.options['dt']:g} s"
+    return f"{scene.name}: dt: {scene.dt:g} s"
+
+
+def check_stamps(scene: Scene, run: Run, out: Path) -> None:
+    """Refuse times that the stamps of a bag cannot carry.
+
+    Raises:
+        DataError: Names the option.
+    """
+    dt = run.options.get("dt", scene.dt)
+    if is_bag(out) and run.start < 0:
+        raise DataError(f"--start: {run.start:g} s: the stamps of a bag are >= 0")
+    if is_bag(out) and run.start == 0 and dt < 1.5 * NANOSECOND:
+        raise DataError(
+            f"{_shown(scene, run)}: the stamps of a bag begin with 1 ns, so it must be >= 2e-09 s"
+        )
 
 
 def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
@@ -240,16 +231,6 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     return State(run.start, q, v, z), said + more
 
 
-def _internal_states(scene: Scene, origin: Recorded, row: int) -> tuple[Array, list[str]]:
-    """Internal states of a sample, those of the scene where there are none, and remarks."""
-    first, names = scene.initial.z, scene.internals.names
-    columns = read_columns(origin, names)
-    z = first if columns is None else np.where(np.isnan(columns[row]), first, columns[row])
-    lacking = names if columns is None else np.array(names)[np.isnan(columns[row])].tolist()
-    where = f"{name_of(origin)}: no column {listed(lacking)}"
-    return z, [f"{where}: as the scene starts"] if lacking else []
-
-
 def _place_bodies(robot: Robot, motion: Motion, row: int, q: Array, v: Array) -> list[str]:
     """Put the free bodies of a sample into q and v; those that have no velocity there."""
     resting = []
@@ -262,7 +243,17 @@ def _place_bodies(robot: Robot, motion: Motion, row: int, q: Array, v: Array) ->
     return resting
 
 
-def drives(scene: Scene, run: Run) -> tuple[dict[str, InputSourcesSource], list[Load], list[str]]:
+def _internal_states(scene: Scene, origin: Source, row: int) -> tuple[Array, list[str]]:
+    """Internal states of a sample, those of the scene where there are none, and remarks."""
+    first, names = scene.initial.z, scene.internals.names
+    columns = read_columns(origin, names)
+    z = first if columns is None else np.where(np.isnan(columns[row]), first, columns[row])
+    lacking = names if columns is None else np.array(names)[np.isnan(columns[row])].tolist()
+    where = f"{name_of(origin)}: no column {listed(lacking)}"
+    return z, [f"{where}: as the scene starts"] if lacking else []
+
+
+def drives(scene: Scene, run: Run) -> tuple[dict[str, InputSource], list[Load], list[str]]:
     """Sources of inputs by part, force terms that come from files, and remarks.
 
     Raises:
@@ -296,9 +287,20 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, InputSourcesSource], list[
     return sources, [torque], said
 
 
-def _excitations(
-    scene: Scene, origin: Recorded
-) -> tuple[dict[str, InputSourcesSource], list[str]]:
+def _wrenches(scene: Scene, run: Run) -> dict[str, InputSource]:
+    """Sources of external loads by name: straight lines between samples."""
+    refuse_unused(scene, run.wrenches)
+    if run.wrenches is None:
+        return {}
+    topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
+    samples = read_wrenches(run.wrenches, topics)
+    with about(name_of(run.wrenches)):
+        return {
+            name: LinearTable(one.stamps * NANOSECOND, one.wrench) for name, one in samples.items()
+        }
+
+
+def _excitations(scene: Scene, origin: Source) -> tuple[dict[str, InputSource], list[str]]:
     """Sources of muscles by name, held between samples, and remarks.
 
     Raises:
@@ -311,13 +313,19 @@ def _excitations(
     times, values = columns[:, 0], columns[:, 1:]
     given = ~np.isnan(values).any(axis=0)
     with about(where):
-        held: dict[str, InputSourcesSource] = {
+        held: dict[str, InputSource] = {
             part.name: HeldTable(times, values[:, [i]])
             for i, part in enumerate(scene.muscles)
             if given[i]
         }
     lacking = [name for name, is_given in zip(names, given, strict=True) if not is_given]
     return held, [f"{where}: no {listed(lacking)}: the least there"] if lacking else []
+
+
+def _held(scene: Scene, motion: Motion, commands: Array) -> dict[str, InputSource]:
+    """Sources of actuators by name, from all their commands in order."""
+    times = motion.stamps * NANOSECOND
+    return {part.name: HeldTable(times, commands[:, part.u]) for part in scene.actuators}
 
 
 def _commands(scene: Scene, where: str, motion: Motion) -> Array:
@@ -349,22 +357,3 @@ def _commands(scene: Scene, where: str, motion: Motion) -> Array:
             "nor <joint>.effort for an actuator that takes the torque of its joint"
         )
     return given
-
-
-def _held(scene: Scene, motion: Motion, commands: Array) -> dict[str, InputSourcesSource]:
-    """Sources of actuators by name, from all their commands in order."""
-    times = motion.stamps * NANOSECOND
-    return {part.name: HeldTable(times, commands[:, part.u]) for part in scene.actuators}
-
-
-def _wrenches(scene: Scene, run: Run) -> dict[str, InputSourcesSource]:
-    """Sources of external loads by name: straight lines between samples."""
-    refuse_unused(scene, run.wrenches)
-    if run.wrenches is None:
-        return {}
-    topics = {name: wrench.topic for name, wrench in scene.wrenches.items()}
-    samples = read_wrenches(run.wrenches, topics)
-    with about(name_of(run.wrenches)):
-        return {
-            name: LinearTable(one.stamps * NANOSECOND, one.wrench) for name, one in samples.items()
-        }
