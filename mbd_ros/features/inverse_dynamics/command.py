@@ -43,9 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.inverse_dynamics.batch import Batch, inverse_of_all, inverse_of_one
+    from mbd_ros.features.inverse_dynamics.batch import inverse_batch
+    from mbd_ros.motion.batch import batch_of
 
-    fields = (field for field in Batch._fields if field != "motions")
-    batch = Batch(arguments.motion, **{name: getattr(arguments, name) for name in fields})
-    (inverse_of_one if len(batch.motions) == 1 else inverse_of_all)(batch, say)
+    names = ("parts", "bounds", "power", "stance", "stance_gap", "stance_speed")
+    options = {name: getattr(arguments, name) for name in names}
+    inverse_batch(batch_of(arguments, options), say)
     return OK

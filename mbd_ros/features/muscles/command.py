@@ -116,12 +116,10 @@ def _add_dynamics(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.muscles.batch import Batch, muscles_of_all, muscles_of_one
+    from mbd_ros.features.muscles.batch import muscles_batch
+    from mbd_ros.motion.batch import batch_of
 
-    fields = (name for name in Batch._fields if name not in ("motions", "options"))
-    words = {name: getattr(arguments, name) for name in fields}
-    batch = Batch(arguments.motion, options=_options(arguments), **words)
-    (muscles_of_one if len(batch.motions) == 1 else muscles_of_all)(batch, say)
+    muscles_batch(batch_of(arguments, _options(arguments)), arguments.task, say)
     return OK
 
 

@@ -11,7 +11,7 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StorageP
 
 from mbd_ros.core.state import Motion
 from mbd_ros.errors import DataError
-from mbd_ros.features.inverse_dynamics import streamed
+from mbd_ros.features.inverse_dynamics import bag_stream
 from mbd_ros.features.inverse_dynamics.job import inverse_to, run_inverse
 from mbd_ros.files.bags.bag import Bag
 from mbd_ros.files.bags.bag_reader import messages, raw_messages
@@ -228,7 +228,7 @@ def both_ways(path, out, scene="arm7", source="causal", parts=False):
     """Result and lines of a bag piece by piece, and as a whole."""
     scene, lines, whole_lines = load_scene(SCENES / f"{scene}.yaml"), [], []
     task = Task(path, Derivatives(source), None, TOPIC, parts)
-    assert streamed.stream(scene, task, path, out, lines.append) in (None, 2500, 3500)
+    assert bag_stream.stream(scene, task, path, out, lines.append) in (None, 2500, 3500)
     inverse_to(scene, task, out, lines.clear() or lines.append)
     whole = run_inverse(scene, task, whole_lines.append)
     return Bag().read(out), lines[:-1], whole, whole_lines
@@ -278,7 +278,7 @@ def test_what_is_not_one_topic_is_not_streamed(tmp_path):
     for scene in ("four_bar_leg", "free_flyer", "leg_dropped"):
         path, out = tmp_path / "bag", tmp_path / "out"
         scene, task = load_scene(SCENES / f"{scene}.yaml"), Task(path, Derivatives("causal"))
-        assert streamed.stream(scene, task, path, out, pytest.fail) is None
+        assert bag_stream.stream(scene, task, path, out, pytest.fail) is None
 
 
 def test_bag_to_bag_costs_about_what_a_copy_costs(tmp_path):

@@ -1,4 +1,8 @@
-"""Bag to bag, piece by piece: memory does not grow with the recording."""
+"""Inverse dynamics from bag to bag, piece by piece: memory does not grow with the recording.
+
+Behind causal filters a piece is solved as it is read. A low-pass without lag sees the future:
+there the motion waits in a file and is filtered window by window.
+"""
 
 from collections import Counter
 from collections.abc import Iterator
@@ -11,11 +15,11 @@ import numpy as np
 
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
-from mbd_ros.features.inverse_dynamics.job import (
-    about_result,
+from mbd_ros.features.inverse_dynamics.result import (
     check_finite,
-    driven,
-    off_the_effort,
+    measured_columns,
+    residual_of_rows,
+    result_metadata,
 )
 from mbd_ros.files.bags.bag_recordings import MotionBlocks, WholeNeededError
 from mbd_ros.files.bags.spool import Spool, StampSpool
@@ -23,16 +27,15 @@ from mbd_ros.files.table import MAIN, Result, Table, time_columns
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, watching
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations, TorqueEstimator, Tuning
-from mbd_ros.motion import inverse_solution as open_chains
 from mbd_ros.motion.cutoff import cutoff_lines
 from mbd_ros.motion.filters import causal_line, chosen_cutoffs, observe, smoothed, stated
+from mbd_ros.motion.inverse_solution import OpenChains, Violations, topics
 from mbd_ros.motion.long_stamps import Windows
 from mbd_ros.motion.recordings import name_of
 from mbd_ros.motion.samples import Task
 from mbd_ros.scene.built_scene import Scene
 
-# ---- streamed ---------------------------------------------------------------------------------
-# Bag to bag, piece by piece: memory does not grow with the recording.
+_PIECE = 16_384  # samples that are solved and written at once
 
 
 def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int | None:
@@ -41,7 +44,7 @@ def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int |
     Args:
         scene: The scene.
         task: What is asked for.
-        motion: The bag of its motion.
+        motion: The bag of the motion.
         out: The bag to write.
         say: Is told what was done and left out, a line each.
 
@@ -65,8 +68,6 @@ def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int |
             if source == "causal":
                 samples = CausalSource(scene, task, motion)
             else:
-                pass
-
                 samples = stack.enter_context(
                     SmoothedSource(scene, task, motion, out.absolute().parent)
                 )
@@ -107,13 +108,7 @@ class Source(Protocol):
 
 
 class CausalSource:
-    """Samples of a bag behind the causal filters.
-
-    Args:
-        scene: The scene.
-        task: What is asked for.
-        path: The bag.
-    """
+    """Samples of a bag behind the causal filters."""
 
     def __init__(self, scene: Scene, task: Task, path: Path) -> None:
         solver = scene.inverse_dynamics()
@@ -135,7 +130,7 @@ class CausalSource:
         """Nothing to look at."""
 
     def lines(self) -> Iterator[str]:
-        """See `Source`."""
+        """Messages and samples that were left out, and the lag of the filters."""
         dropped = self._blocks.dropped.items()
         yield from (f"{self._where}: {count} messages left out: {why}" for why, count in dropped)
         yield causal_line(self._estimator.differentiator, self._cutoff)
@@ -155,9 +150,9 @@ class _Pieces:
 
     def __init__(self, scene: Scene, task: Task, source: Source) -> None:
         self._scene, self._source, self._where = scene, source, name_of(task.motion)
-        self._chains = open_chains.OpenChains(scene, task.parts)
-        self._violations = open_chains.Violations(scene)
-        self._about = about_result(scene, task, open_chains.topics(scene))
+        self._chains = OpenChains(scene, task.parts)
+        self._violations = Violations(scene)
+        self._about = result_metadata(scene, task, topics(scene))
         self.rows = 0
 
     def __iter__(self) -> Iterator[Result]:
@@ -180,21 +175,14 @@ class _Pieces:
         return [*doubts, *source.lines(), *self._violations.lines(), *source.last_lines()]
 
 
-# ---- smoothed ---------------------------------------------------------------------------------
-# Samples of a bag without lag, window by window: the motion waits in a file, not in memory.
-
-
-_PIECE = 16_384  # samples that are solved and written at once
-
-
 class SmoothedSource:
-    """Samples of a bag behind the low-pass that sees the future.
+    """Samples of a bag behind the low-pass that sees the future, window by window.
 
     Args:
-        scene: The scene, no joint of which turns without end.
+        scene: No joint of it turns without end.
         task: What is asked for.
         path: The bag.
-        folder: Where the motion may wait.
+        folder: Where the motion waits in a file.
     """
 
     def __init__(self, scene: Scene, task: Task, path: Path, folder: Path) -> None:
@@ -253,7 +241,7 @@ class SmoothedSource:
     def taken(self, table: Table) -> None:
         """Keep the torques beside the measured efforts of their joints."""
         joints = self._names[: self._n]
-        self._pairs = driven(joints, list(table), self._driven)
+        self._pairs = measured_columns(joints, list(table), self._driven)
         if not self._pairs:
             return
         if self._tau is None:
@@ -261,7 +249,7 @@ class SmoothedSource:
         self._tau.append(np.column_stack([table[name] for _, name in self._pairs]))
 
     def lines(self) -> Iterator[str]:
-        """See `streamed.Source`."""
+        """Messages that were left out, and the cut-offs."""
         dropped = self._blocks.dropped.items()
         yield from (f"{self._where}: {count} messages left out: {why}" for why, count in dropped)
         self._cutoff = stated(self._stamps, self._cutoff)
@@ -274,7 +262,7 @@ class SmoothedSource:
         if self._tau is not None:
             joints = [j for j, _ in self._pairs]
             sides = _Sides(self._effort, joints, self._tau)
-            yield from off_the_effort(self._windows, sides, self._cutoff[joints])
+            yield from residual_of_rows(self._windows, sides, self._cutoff[joints])
 
 
 class _Sides:

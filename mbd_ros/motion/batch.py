@@ -1,0 +1,195 @@
+"""Several recorded motions of one command: a process and a result each."""
+
+import argparse
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from mbd_ros.errors import DataError, MbdError
+from mbd_ros.files.output_file import refuse_overwriting
+from mbd_ros.jobs.progress import Say
+from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
+from mbd_ros.jobs.workers.task import Task as WorkerTask
+from mbd_ros.motion.derivatives import Derivatives
+from mbd_ros.motion.samples import Task
+from mbd_ros.scene.schema.code_permission import is_permitted, permitting
+
+Outcome = tuple[list[str], str]
+
+
+class Batch(NamedTuple):
+    """Motions, and what each of them is solved with.
+
+    Attributes:
+        motions: Tables and bags.
+        options: Options of the command alone; any values that JSON holds.
+        scene: The scene.
+        out: Folder of the results; the result itself where there is one motion.
+        wrenches: Table or bag of the external loads of every motion.
+        external: External loads of OpenSim (.xml): none, of every motion, or one each.
+        time_range: First and last time that is solved [s]; None for all.
+        wrench_axes: Recorded axis along each axis of the scene; None: the same.
+        derivatives: given, causal, zero-phase or opensim.
+        cutoff: Of the filters [Hz]; None: the default of `Derivatives`.
+        half_width: Samples on either side of a local zero-phase fit; None without one.
+        topic: JointState topic of bags.
+        scheduler: Of a Dask cluster; None for processes of this machine.
+        workers: How many processes; None for one a core.
+    """
+
+    motions: Sequence[Path]
+    options: Mapping[str, Any]
+    scene: Path
+    out: Path
+    wrenches: Path | None
+    external: Sequence[Path]
+    time_range: Sequence[float] | None
+    wrench_axes: str | None
+    derivatives: str
+    cutoff: float | None
+    half_width: int | None
+    topic: str
+    scheduler: str | None
+    workers: int | None
+
+
+Work = Callable[[Batch, Say], None]
+"""Does the only motion of a batch and says what it did."""
+
+
+def batch_of(arguments: argparse.Namespace, options: Mapping[str, Any]) -> Batch:
+    """The batch that the command line asks for."""
+    shared = (name for name in Batch._fields if name not in ("motions", "options"))
+    words = {name: getattr(arguments, name) for name in shared}
+    return Batch(arguments.motion, options, **words)
+
+
+def do_batch(
+    batch: Batch, work: Work, worker: Callable[[Mapping[str, Any]], Outcome], say: Say
+) -> None:
+    """Do one motion here, several in workers, each into a file or folder of its own name.
+
+    Args:
+        batch: The motions.
+        work: Does one of them.
+        worker: `do_one` with this `work`, by a name that a worker can import.
+        say: Is told the lines of the only motion, or the summary of every motion as they end.
+
+    Raises:
+        DataError: Motions that failed, by name, when the others are done; before any is done
+            names that would meet in the folder, or a folder that cannot be.
+    """
+    if len(batch.motions) == 1:
+        if batch.scheduler is not None or batch.workers is not None:
+            raise DataError("--scheduler and --workers go with several motions")
+        work(batch, say)
+        return
+    call = f"{worker.__module__}:{worker.__name__}"
+    tasks = [
+        WorkerTask(str(motion), call, _argument(batch, motion, out, external))
+        for motion, out, external in _orders(batch)
+    ]
+    _make_folder(batch.out)
+    failed = []
+    with open_workers(batch.scheduler, batch.workers) as workers:
+        for task, result in watched(do_all(workers, tasks), tasks, workers.count):
+            lines, error = result.value or ([], result.failure)
+            if error:
+                failed.append(f"{task.name}: {error.removeprefix(f'{task.name}: ')}")
+            else:
+                say(f"{task.name}: {'; '.join(lines)}")
+    if failed:
+        told = "\n  ".join(sorted(failed))
+        raise DataError(f"{len(failed)} of {len(tasks)} motions failed:\n  {told}")
+
+
+def _orders(batch: Batch) -> list[tuple[Path, Path, Path | None]]:
+    """Each motion with its result in the folder and its external loads."""
+    results = _places(batch.motions, batch.out)
+    externals = _externals(batch)
+    for out in results.values():
+        refuse_overwriting(out, batch.wrenches, *externals)
+    pairs = zip(results.items(), externals, strict=True)
+    return [(motion, out, loads) for (motion, out), loads in pairs]
+
+
+def _places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:
+    """Motion -> result of the same name, and so of the same format."""
+    taken: dict[Path, Path] = {}
+    sources = {motion.resolve() for motion in motions}
+    for motion in motions:
+        out = folder.resolve() / motion.resolve().name
+        if out in taken:
+            raise DataError(f"{taken[out]} and {motion} have the same name, results would meet")
+        if out in sources:
+            raise DataError(f"{motion}: its result would take its place; choose another folder")
+        taken[out] = motion
+    return {motion: out for out, motion in taken.items()}
+
+
+def _externals(batch: Batch) -> list[Path | None]:
+    """External loads of each motion: of none, one file for all, or one for each."""
+    files, count = batch.external, len(batch.motions)
+    if len(files) not in (0, 1, count):
+        raise DataError(
+            f"--external names {len(files)} files for {count} motions; accepted: one for all, or "
+            "one for each"
+        )
+    return [*files] if len(files) == count else [files[0] if files else None] * count
+
+
+def _make_folder(folder: Path) -> None:
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise DataError(f"{folder}: cannot be made a folder ({error.strerror})") from error
+
+
+def _argument(batch: Batch, motion: Path, out: Path, external: Path | None) -> dict[str, Any]:
+    """A batch of one motion as JSON holds it; a cluster is told absolute paths."""
+    place = Path if batch.scheduler is None else Path.absolute
+    fields = batch._asdict() | {"motions": [str(place(motion))], "out": str(out)}
+    fields["external"] = [] if external is None else [str(place(external))]
+    for name in ("scene", "wrenches"):
+        fields[name] = None if fields[name] is None else str(place(fields[name]))
+    return {"batch": fields, "allow_code": is_permitted()}
+
+
+def do_one(argument: Mapping[str, Any], work: Work) -> Outcome:
+    """Do one motion in a worker.
+
+    Args:
+        argument: `batch`, the fields of a `Batch` with one motion, paths as text; `allow_code`,
+            whether its scene may name code of others.
+        work: Does the motion.
+
+    Returns:
+        Its lines, and why it failed.
+    """
+    fields = dict(argument["batch"])
+    for name in ("scene", "out", "wrenches"):
+        fields[name] = None if fields[name] is None else Path(fields[name])
+    fields |= {name: [Path(path) for path in fields[name]] for name in ("motions", "external")}
+    lines: list[str] = []
+    try:
+        with permitting(argument["allow_code"]):
+            work(Batch(**fields), lines.append)
+    except MbdError as error:
+        return lines, str(error)
+    return lines, ""
+
+
+def task_of(batch: Batch) -> Task:
+    """What is asked of the only motion of a batch."""
+    (motion,) = batch.motions
+    (external,) = _externals(batch)
+    between = None if batch.time_range is None else (batch.time_range[0], batch.time_range[1])
+    return Task(
+        motion,
+        Derivatives(batch.derivatives, batch.cutoff, batch.half_width),
+        batch.wrenches,
+        batch.topic,
+        external=external,
+        time_range=between,
+        wrench_axes=batch.wrench_axes,
+    )
