@@ -19,15 +19,7 @@ from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.features.identification.job import run_identify
-from mbd_ros.features.identification.learn.ensembles import (
-    Samples,
-    Scales,
-    blocks_of,
-    first_weights,
-    network_of,
-    said_by,
-    trusted,
-)
+from mbd_ros.features.identification.learn.cross_validation import blocks_of, trusted
 from mbd_ros.features.identification.learn.fitting import INFORMED, MOST, fit
 from mbd_ros.features.identification.learn.job import prediction, without_model
 from mbd_ros.features.identification.learn.recordings import (
@@ -37,6 +29,7 @@ from mbd_ros.features.identification.learn.recordings import (
     share_of,
     thinned,
 )
+from mbd_ros.features.identification.learn.scales import Samples, Scales
 from mbd_ros.features.identification.learn.task import Task
 from mbd_ros.features.identification.regressor import limits_of
 from mbd_ros.features.identification.samples import Recorded, split
@@ -52,6 +45,8 @@ _RIDGE = 1.0e-2  # of the size of a column: friction of few samples stays small
 _BLOCKS = 5  # of time, each left out once
 _WIDE = 1.5  # times the usual velocity and acceleration: states of which nothing is measured
 _MORE = 2  # times the steps of a residual: a black box has more to learn
+Torque = Callable[[Samples], Array]
+Asked = Callable[[Scales, np.random.Generator], tuple[Samples, Array]]
 
 
 class Comparison(NamedTuple):
@@ -110,10 +105,9 @@ def _ways(
     learned, rest = parts
     better = _identified(scene, task, recordings, float(learned.times[-1]))
     given, plain = (recordings.samples(scene, [part]) for part in (learned, rest))
-    test = plain
-    train = given
-    add = _friction(train)
-    if better is not None:
+    if better is None:
+        train, test, add = given, plain, _friction(given)
+    else:
         train, test = (recordings.samples(better, [part]) for part in (learned, rest))
         add = _nothing
     train = train._replace(physics=train.physics + add(train))
@@ -149,14 +143,6 @@ def _identified(scene: Scene, task: Task, recordings: Recordings, seconds: float
         return None
 
 
-Torque = Callable[[Samples], Array]
-Asked = Callable[[Scales, np.random.Generator], tuple[Samples, Array]]
-
-
-def _nothing(samples: Samples) -> Array:
-    return np.zeros_like(samples.q)
-
-
 def _friction(samples: Samples) -> Torque:
     """Dry and viscous friction of each joint, where too few seconds tell the masses.
 
@@ -184,6 +170,34 @@ def _friction(samples: Samples) -> Torque:
     return torque
 
 
+def _nothing(samples: Samples) -> Array:
+    return np.zeros_like(samples.q)
+
+
+def _black_box(task: Task, learned: Samples, test: Samples, asked: Asked | None) -> float:
+    """Error of a network without physics, or with physics in its loss alone."""
+    from mbd_ros.features.identification.learn.network import (
+        Collocation,
+        Plan,
+        first_weights,
+        network_of,
+        said_by,
+        train,
+    )
+
+    few = thinned(learned, MOST)
+    scales, random = Scales.of(few, few.effort), np.random.default_rng(task.seed)
+    network = network_of("free", scales, accelerations=True)
+    weights = first_weights("free", few.q.shape[1], task.members, random, accelerations=True)
+    states = None
+    if asked is not None:
+        at, torque = asked(scales, random)
+        states = Collocation(at, torque / scales.torque, INFORMED)
+    plan = Plan(_MORE * task.rounds, seed=task.seed, rate=task.rate)
+    found = train(network, weights, few, few.effort / scales.torque, plan, states)
+    return share_of(said_by(network, found.weights, test), test.measured)
+
+
 def _asked(scene: Scene, recordings: Recordings, add: Torque) -> Asked:
     """Gives states of which nothing is measured, with what the equations of motion ask there."""
     solver, joints = scene.inverse_dynamics(), recordings.joints
@@ -204,24 +218,6 @@ def _asked(scene: Scene, recordings: Recordings, add: Torque) -> Asked:
         return states, solver.batch(y, w, push).tau[:, w_at] + add(states)
 
     return asked
-
-
-def _black_box(task: Task, train: Samples, test: Samples, asked: Asked | None) -> float:
-    """Error of a network without physics, or with physics in its loss alone."""
-    from mbd_ros.features.identification.learn.network import Collocation, Plan
-    from mbd_ros.features.identification.learn.network import train as fitted
-
-    few = thinned(train, MOST)
-    scales, random = Scales.of(few, few.effort), np.random.default_rng(task.seed)
-    network = network_of("free", scales, accelerations=True)
-    weights = first_weights("free", few.q.shape[1], task.members, random, accelerations=True)
-    states = None
-    if asked is not None:
-        at, torque = asked(scales, random)
-        states = Collocation(at, torque / scales.torque, INFORMED)
-    plan = Plan(_MORE * task.rounds, seed=task.seed, rate=task.rate)
-    found = fitted(network, weights, few, few.effort / scales.torque, plan, states)
-    return share_of(said_by(network, found.weights, test), test.measured)
 
 
 def _table(rows: Sequence[tuple[float, str, int, float]]) -> Table:

@@ -1,25 +1,21 @@
-"""From samples to a learned model: new, going on from another, or adapted by few trials."""
+"""From samples to a learned model: new, going on from another, or adapted by few trials.
+
+A trained model and few trials of something new: adapters are corrections of inertias, friction and
+stiffness, and matrices of low rank beside the weights of the network. Corrections come first, from
+what was learned from before and from the new trials; the network stays where it predicts blocks of
+the new trials better than they do alone.
+"""
 
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError
-from mbd_ros.features.identification.learn.correcting import Columns, fitted
-from mbd_ros.features.identification.learn.ensembles import (
-    Samples,
-    Scales,
-    Tell,
-    blocks_of,
-    first_weights,
-    is_better,
-    network_of,
-    require_torch,
-    said_by,
-    trusted,
-)
+from mbd_ros.errors import DataError, install_hint
+from mbd_ros.features.identification.learn.cross_validation import blocks_of, is_better, trusted
+from mbd_ros.features.identification.learn.linear_corrections import Columns, fitted
 from mbd_ros.features.identification.learn.recordings import thinned
+from mbd_ros.features.identification.learn.scales import Samples, Scales, Tell
 from mbd_ros.features.identification.learn.task import FREEZE, Learned, Task
 from mbd_ros.methods.learned import About, check_physics, check_robot, numbers_of
 from mbd_ros.scene.built_scene import Scene
@@ -28,20 +24,12 @@ from mbd_ros.scene.reading.learned_entries import physics_beside
 if TYPE_CHECKING:
     from mbd_ros.features.identification.learn.network import Collocation
 
-
-# ---- adapting ---------------------------------------------------------------------------------
-# A trained model and few trials of something new: what changes, and what stays.
-#
-# Adapters are corrections of inertias, friction and stiffness, and matrices of low rank beside the
-# weights of the network. Corrections come first, from what was learned from before and from the
-# new trials; the network stays where it predicts blocks of the new trials better than they do
-# alone.
-
-
 MOST = 500  # samples that a network learns from
 MANY = 5000  # samples that corrections are learned from
 _BLOCKS = 5  # of time, each left out once
 _RANK, _HOLD = 2, 1.0e-3  # of matrices beside weights, and the penalty on them
+_AROUND = 0.5  # of the scales: how far states without a measurement lie from measured ones
+INFORMED = 0.3  # weight of the equations of motion beside the data
 
 
 class Choice(NamedTuple):
@@ -57,6 +45,48 @@ class Choice(NamedTuple):
 
 
 _CHOICES = (Choice(True, False), Choice(True, True), Choice(False, False), Choice(False, True))
+
+
+def fit(
+    scene: Scene, task: Task, joints: tuple[str, ...], samples: Samples, tell: Tell
+) -> Learned:
+    """Learn what the torques of a scene leave of the efforts.
+
+    Args:
+        scene: The scene.
+        task: What is asked for.
+        joints: Names of the columns.
+        samples: What is learned from.
+        tell: Is told the share that is done.
+
+    Raises:
+        DataError: torch is not installed, or the model to adapt is of other joints or of another
+            version.
+    """
+    require_torch()
+    if task.start is None:
+        found = _new(scene, task, joints, samples, tell)
+    else:
+        check_start(task.start, joints, scene)
+        columns = Columns(scene, joints, task.start.scales)
+        if task.start.numbers.shape != columns.none().shape:
+            raise DataError("--start: its weights are of another version; learn the model again")
+        change = adapt if task.freeze == FREEZE[1] else _all_weights
+        found = change(columns, task, samples, task.start, tell)
+    return found._replace(about=_about(scene, found, samples, task.start))
+
+
+def require_torch() -> None:
+    """Refuse to learn without torch.
+
+    Raises:
+        DataError: With the line that installs it.
+    """
+    from importlib.util import find_spec
+
+    for module in ("torch", "onnx"):
+        if find_spec(module) is None:
+            raise DataError(f"learning: {install_hint(module)}")
 
 
 def check_start(start: Learned, joints: tuple[str, ...], scene: Scene) -> None:
@@ -75,6 +105,101 @@ def check_start(start: Learned, joints: tuple[str, ...], scene: Scene) -> None:
     check_physics("--start", start.about, physics_beside(scene, start.about))
 
 
+def _about(scene: Scene, model: Learned, samples: Samples, start: Learned | None) -> About:
+    """What the model belongs to; an adapted one knows what it learned before, too."""
+    seen = np.hstack([samples.q, samples.v])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    if start is not None:
+        low, high = np.minimum(low, start.about.low), np.maximum(high, start.about.high)
+    wide = np.maximum(high - low, 1.0e-6 * max(float((high - low).max()), 1.0e-6))
+    middle = 0.5 * (low + high)
+    said = model.about._replace(
+        scene=scene.name.rpartition("/")[2],
+        low=middle - 0.5 * wide,
+        high=middle + 0.5 * wide,
+        robot=numbers_of(scene.robot),
+    )
+    said = said._replace(physics=physics_beside(scene, said))
+    columns = Columns(scene, said.joints, model.scales)
+    return columns.written(said, model.numbers) if model.numbers.any() else said
+
+
+def _new(
+    scene: Scene, task: Task, joints: tuple[str, ...], samples: Samples, tell: Tell
+) -> Learned:
+    """A network that nothing was learned with before."""
+    from mbd_ros.features.identification.learn.network import (
+        Plan,
+        first_weights,
+        network_of,
+        said_by,
+        train,
+    )
+
+    few, many = thinned(samples, MOST), thinned(samples, MANY)
+    left = few.effort - few.physics
+    scales = Scales.of(few, left)
+    kind = "structured" if task.variant == "structured" else "free"
+    random = np.random.default_rng(task.seed)
+    network = network_of(kind, scales)
+    weights = first_weights(kind, len(joints), task.members, random)
+    wanted = left / scales.torque
+    around = None
+    if task.variant == "informed":
+        around = collocation(few, np.zeros_like(wanted), random)
+    plan = Plan(task.rounds, seed=task.seed, rate=task.rate)
+    found = train(network, weights, few, wanted, plan, around, tell)
+    trust = trusted(found.unseen, wanted, len(found.weights["W1"]), kind == "structured")
+    columns = Columns(scene, joints, scales)
+    said = trust * said_by(network, found.weights, many)
+    known = columns.known(many, said)
+    wall = np.zeros(2 * len(joints))
+    about = About(kind, "", joints, wall, wall, {})
+    return Learned(about, scales, found.weights, trust, known, columns.none())
+
+
+def collocation(samples: Samples, wanted: Array, random: np.random.Generator) -> "Collocation":
+    """States around the measured ones, with what the equations of motion ask of them.
+
+    Args:
+        samples: Measured ones.
+        wanted: Over the scale, shape (n, m), where it does not depend on the state.
+        random: For the states.
+    """
+    from mbd_ros.features.identification.learn.network import Collocation
+
+    return Collocation(around(samples, random), wanted, INFORMED)
+
+
+def around(samples: Samples, random: np.random.Generator) -> Samples:
+    """States without a measurement, around the measured ones."""
+    moved = [
+        values + _AROUND * values.std(axis=0) * random.normal(size=values.shape)
+        for values in (samples.q, samples.v, samples.a)
+    ]
+    return samples._replace(q=moved[0], v=moved[1], a=moved[2])
+
+
+def _all_weights(
+    columns: Columns, task: Task, samples: Samples, start: Learned, tell: Tell
+) -> Learned:
+    """All weights go on from where they are; few trials leave no block to stop on."""
+    from mbd_ros.features.identification.learn.network import Plan, network_of, said_by, train
+
+    few, many = thinned(samples, MOST), thinned(samples, MANY)
+    network = network_of(start.about.kind, start.scales)
+    left = few.effort - few.physics - columns.torque(few, start.numbers)
+    wanted, around = left / start.scales.torque, None
+    if task.variant == "informed":
+        random = np.random.default_rng(task.seed)
+        around = collocation(few, np.zeros_like(wanted), random)
+    plan = Plan(task.rounds, seed=task.seed, rate=task.rate, leaves_out=False)
+    weights = train(network, start.weights, few, wanted, plan, around, tell).weights
+    said = said_by(network, weights, many)
+    known = start.known.and_also(columns.known(many, said))
+    return start._replace(weights=weights, trust=np.ones_like(start.trust), known=known)
+
+
 def adapt(columns: Columns, task: Task, samples: Samples, start: Learned, tell: Tell) -> Learned:
     """A model with adapters for new samples.
 
@@ -85,6 +210,8 @@ def adapt(columns: Columns, task: Task, samples: Samples, start: Learned, tell: 
         start: The model; all its weights stay.
         tell: Is told the share that is done.
     """
+    from mbd_ros.features.identification.learn.network import network_of, said_by
+
     many, network = thinned(samples, MANY), network_of(start.about.kind, start.scales)
     said = start.trust * said_by(network, start.weights, many)
     choice = _chosen(columns, start, many, said)
@@ -127,7 +254,7 @@ def _beside(
     network: Any, columns: Columns, task: Task, samples: Samples, model: Learned, tell: Tell
 ) -> dict[str, Array]:
     """Weights with matrices of low rank, for what corrections leave."""
-    from mbd_ros.features.identification.learn.network import Plan, train
+    from mbd_ros.features.identification.learn.network import Plan, said_by, train
 
     few = thinned(samples, MOST)
     left = few.effort - few.physics - columns.torque(few, model.numbers)
@@ -136,129 +263,3 @@ def _beside(
     plan = Plan(task.rounds, _RANK, _HOLD, task.seed, task.rate, leaves_out=False)
     wanted = wanted / model.scales.torque
     return train(network, model.weights, few, wanted, plan, None, tell).weights
-
-
-# ---- fitting ----------------------------------------------------------------------------------
-# From samples to a learned model: a new one, or one that goes on from another.
-
-
-_AROUND = 0.5  # of the scales: how far states without a measurement lie from measured ones
-INFORMED = 0.3  # weight of the equations of motion beside the data
-
-
-def fit(
-    scene: Scene, task: Task, joints: tuple[str, ...], samples: Samples, tell: Tell
-) -> Learned:
-    """Learn what the torques of a scene leave of the efforts.
-
-    Args:
-        scene: The scene.
-        task: What is asked for.
-        joints: Names of the columns.
-        samples: What is learned from.
-        tell: Is told the share that is done.
-
-    Raises:
-        DataError: torch is not installed, or the model to adapt is of other joints or of another
-            version.
-    """
-    require_torch()
-    if task.start is None:
-        found = _new(scene, task, joints, samples, tell)
-    else:
-        check_start(task.start, joints, scene)
-        columns = Columns(scene, joints, task.start.scales)
-        if task.start.numbers.shape != columns.none().shape:
-            raise DataError("--start: its weights are of another version; learn the model again")
-        change = adapt if task.freeze == FREEZE[1] else _all_weights
-        found = change(columns, task, samples, task.start, tell)
-    return found._replace(about=_about(scene, found, samples, task.start))
-
-
-def _new(
-    scene: Scene, task: Task, joints: tuple[str, ...], samples: Samples, tell: Tell
-) -> Learned:
-    """A network that nothing was learned with before."""
-    from mbd_ros.features.identification.learn.network import Plan, train
-
-    few, many = thinned(samples, MOST), thinned(samples, MANY)
-    left = few.effort - few.physics
-    scales = Scales.of(few, left)
-    kind = "structured" if task.variant == "structured" else "free"
-    random = np.random.default_rng(task.seed)
-    network = network_of(kind, scales)
-    weights = first_weights(kind, len(joints), task.members, random)
-    wanted = left / scales.torque
-    around = None
-    if task.variant == "informed":
-        around = collocation(few, np.zeros_like(wanted), random)
-    plan = Plan(task.rounds, seed=task.seed, rate=task.rate)
-    found = train(network, weights, few, wanted, plan, around, tell)
-    trust = trusted(found.unseen, wanted, len(found.weights["W1"]), kind == "structured")
-    columns = Columns(scene, joints, scales)
-    said = trust * said_by(network, found.weights, many)
-    known = columns.known(many, said)
-    wall = np.zeros(2 * len(joints))
-    about = About(kind, "", joints, wall, wall, {})
-    return Learned(about, scales, found.weights, trust, known, columns.none())
-
-
-def _all_weights(
-    columns: Columns, task: Task, samples: Samples, start: Learned, tell: Tell
-) -> Learned:
-    """All weights go on from where they are; few trials leave no block to stop on."""
-    from mbd_ros.features.identification.learn.network import Plan, train
-
-    few, many = thinned(samples, MOST), thinned(samples, MANY)
-    network = network_of(start.about.kind, start.scales)
-    left = few.effort - few.physics - columns.torque(few, start.numbers)
-    wanted, around = left / start.scales.torque, None
-    if task.variant == "informed":
-        random = np.random.default_rng(task.seed)
-        around = collocation(few, np.zeros_like(wanted), random)
-    plan = Plan(task.rounds, seed=task.seed, rate=task.rate, leaves_out=False)
-    weights = train(network, start.weights, few, wanted, plan, around, tell).weights
-    said = said_by(network, weights, many)
-    known = start.known.and_also(columns.known(many, said))
-    return start._replace(weights=weights, trust=np.ones_like(start.trust), known=known)
-
-
-def collocation(samples: Samples, wanted: Array, random: np.random.Generator) -> "Collocation":
-    """States around the measured ones, with what the equations of motion ask of them.
-
-    Args:
-        samples: Measured ones.
-        wanted: Over the scale, shape (n, m), where it does not depend on the state.
-        random: For the states.
-    """
-    from mbd_ros.features.identification.learn.network import Collocation
-
-    return Collocation(around(samples, random), wanted, INFORMED)
-
-
-def around(samples: Samples, random: np.random.Generator) -> Samples:
-    """States without a measurement, around the measured ones."""
-    moved = [
-        values + _AROUND * values.std(axis=0) * random.normal(size=values.shape)
-        for values in (samples.q, samples.v, samples.a)
-    ]
-    return samples._replace(q=moved[0], v=moved[1], a=moved[2])
-
-
-def _about(scene: Scene, model: Learned, samples: Samples, start: Learned | None) -> About:
-    """What the model belongs to; an adapted one knows what it learned before, too."""
-    seen = np.hstack([samples.q, samples.v])
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    if start is not None:
-        low, high = np.minimum(low, start.about.low), np.maximum(high, start.about.high)
-    wide = np.maximum(high - low, 1.0e-6 * max(float((high - low).max()), 1.0e-6))
-    middle = 0.5 * (low + high)
-    said = model.about._replace(
-        scene=scene.name.rpartition("/")[2],
-        low=middle - 0.5 * wide,
-        high=middle + 0.5 * wide,
-        robot=numbers_of(scene.robot),
-    )
-    said = said._replace(physics=physics_beside(scene, said))
-    columns = Columns(scene, said.joints, model.scales)
-    return columns.written(said, model.numbers) if model.numbers.any() else said

@@ -9,16 +9,11 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.features.identification.job import run_identify
-from mbd_ros.features.identification.learn.correcting import Columns
-from mbd_ros.features.identification.learn.ensembles import (
-    Samples,
-    network_of,
-    require_torch,
-    said_by,
-)
-from mbd_ros.features.identification.learn.fitting import fit
+from mbd_ros.features.identification.learn.fitting import fit, require_torch
+from mbd_ros.features.identification.learn.linear_corrections import Columns
 from mbd_ros.features.identification.learn.onnx_file import onnx_of
 from mbd_ros.features.identification.learn.recordings import FEWEST, Recordings, share_of
+from mbd_ros.features.identification.learn.scales import Samples
 from mbd_ros.features.identification.learn.task import FREEZE, Learned, Outcome, Task
 from mbd_ros.features.identification.outcome import description_of
 from mbd_ros.features.identification.samples import split
@@ -65,7 +60,7 @@ def learn(
 
 
 def run_learn(scene: Scene, task: Task, say: Say) -> Outcome:
-    """See `learn`."""
+    """Do the task of `learn`."""
     task.check()
     if task.freeze == FREEZE[1] and task.start is None:
         raise DataError(f"--freeze {FREEZE[1]}: needs the model that is adapted, --start DIR")
@@ -103,6 +98,21 @@ def _say_what_acts(model: Learned, say: Say) -> None:
     for name, share in zip(model.about.joints, model.trust, strict=True):
         if share == 0.0:
             say(f"{name}: nothing was found that holds where it was not learned from; it gives 0")
+
+
+def _validated(
+    scene: Scene, model: Learned, test: Samples | None
+) -> tuple[dict[str, float], Table]:
+    """Errors of what was not learned from."""
+    joints = Column("joint", np.array(list(model.about.joints)))
+    if test is None:
+        return {}, Table([joints])
+    said = {"physics": test.physics, "learned": prediction(scene, model, test)}
+    columns = [joints, Column("trust", model.trust)]
+    for name, torque in said.items():
+        rms = np.sqrt(np.mean(np.square(torque - test.measured), axis=0))
+        columns.append(Column(f"{name}.rms", rms, "N·m or N"))
+    return {name: share_of(torque, test.measured) for name, torque in said.items()}, Table(columns)
 
 
 def without_model(scene: Scene) -> Scene:
@@ -146,24 +156,11 @@ def prediction(scene: Scene, model: Learned, samples: Samples) -> Any:
 
 def _within_range(model: Learned, samples: Samples) -> Array:
     """Torque of the network as `LearnedTorque` lets it act, shape (n, m)."""
+    from mbd_ros.features.identification.learn.network import network_of, said_by
+
     network, about, m = network_of(model.about.kind, model.scales), model.about, samples.q.shape[1]
     whole = TrainingRange(about.low, about.high).shares(np.hstack([samples.q, samples.v]))
     places = TrainingRange(about.low[:m], about.high[:m]).shares(samples.q)
     still = said_by(network, model.weights, samples._replace(a=np.zeros_like(samples.a)))
     inertial = said_by(network, model.weights, samples) - still
     return whole[:, None] * still + places[:, None] * inertial
-
-
-def _validated(
-    scene: Scene, model: Learned, test: Samples | None
-) -> tuple[dict[str, float], Table]:
-    """Errors of what was not learned from."""
-    joints = Column("joint", np.array(list(model.about.joints)))
-    if test is None:
-        return {}, Table([joints])
-    said = {"physics": test.physics, "learned": prediction(scene, model, test)}
-    columns = [joints, Column("trust", model.trust)]
-    for name, torque in said.items():
-        rms = np.sqrt(np.mean(np.square(torque - test.measured), axis=0))
-        columns.append(Column(f"{name}.rms", rms, "N·m or N"))
-    return {name: share_of(torque, test.measured) for name, torque in said.items()}, Table(columns)

@@ -10,6 +10,8 @@ with M = D (L L' + e E) D positive definite, L lower triangular and a network of
 (of which inertias of hinges are made) as V is, and C v = M' v - 1/2 d(v' M v)/dq, which is that of
 Christoffel: v' (M' - 2 C) v = 0.
 
+Members are fitted side by side; each of them stops early on a block of time that it never sees.
+
 Source: M. Lutter, C. Ritter, J. Peters, Deep Lagrangian Networks, ICLR 2019 (L L').
 """
 
@@ -21,73 +23,22 @@ import numpy as np
 import torch
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.identification.learn.ensembles import (
+from mbd_ros.features.identification.learn.cross_validation import blocks_of
+from mbd_ros.features.identification.learn.scales import (
     CURVES,
     LEAST_INERTIA,
     Samples,
     Scales,
-    blocks_of,
     curves_of,
     usual_energy,
     usual_inertia,
 )
 
-# ---- network ----------------------------------------------------------------------------------
-# Networks as functions of their weights; torch is imported here and in `training` only.
-
-
 Weights = Mapping[str, Any]
 HIDDEN = 32
-_FEW = 0.1  # of the usual size: what networks say before they have learned
-
-
-def free_weights(joints: int, members: int, inputs: int, random: np.random.Generator) -> Weights:
-    """First weights of a network without structure."""
-    return _layers(members, (inputs, HIDDEN, HIDDEN, joints), random)
-
-
-def structured_weights(joints: int, members: int, random: np.random.Generator) -> Weights:
-    """First weights of a network with structure."""
-    outputs = joints * (joints + 1) // 2 + 1  # of L, and V
-    found = dict(_layers(members, (2 * joints, HIDDEN, HIDDEN, outputs), random))
-    found["friction"] = np.full((members, joints, len(CURVES) + 1), -3.0)  # before softplus
-    found["offset"] = np.zeros((members, joints))
-    return found
-
-
-def _layers(members: int, sizes: tuple[int, ...], random: np.random.Generator) -> dict[str, Array]:
-    found = {}
-    for i, (before, after) in enumerate(pairwise(sizes), 1):
-        size = np.sqrt(1.0 / before) * (_FEW if i == len(sizes) - 1 else 1.0)
-        found[f"W{i}"] = size * random.normal(size=(members, after, before))
-        found[f"b{i}"] = np.zeros((members, after))
-    return found
-
-
-class Free:
-    """A network without structure.
-
-    Args:
-        scales: Sizes of inputs and outputs.
-        accelerations: Whether it sees them.
-    """
-
-    def __init__(self, scales: Scales, accelerations: bool = False) -> None:
-        self.scales, self.accelerations = scales, accelerations
-
-    def inputs(self, samples: Samples) -> tuple[Any, ...]:
-        """What `torque` takes of samples."""
-        s = self.scales
-        parts = [(samples.q - s.centre) / s.q, samples.v / s.v, np.tanh(samples.v / s.slow)]
-        if self.accelerations:
-            parts.append(samples.a / s.a)
-        return (torch.as_tensor(np.hstack(parts)),)
-
-    def torque(self, w: Weights, x: Any) -> Any:
-        """Torque over its scale of each member, shape (members, n, m)."""
-        h = torch.tanh(torch.einsum("ehx,nx->enh", w["W1"], x) + w["b1"][:, None])
-        h = torch.tanh(torch.einsum("ekh,enh->enk", w["W2"], h) + w["b2"][:, None])
-        return torch.einsum("emk,enk->enm", w["W3"], h) + w["b3"][:, None]
+_FIRST_OUTPUT = 0.1  # of the usual size: what networks say before they have learned
+_DECAY = 1.0e-3  # of weights
+_LOOK_EVERY = 10  # steps between looks at the block that is left out
 
 
 class Structured:
@@ -106,7 +57,7 @@ class Structured:
         self.energy = usual_energy(scales)
 
     def inputs(self, samples: Samples) -> tuple[Any, ...]:
-        """What `torque` takes of samples."""
+        """The arguments of `torque` at samples."""
         return tuple(map(torch.as_tensor, (samples.q, samples.v, samples.a)))
 
     def torque(self, w: Weights, q: Any, v: Any, a: Any) -> Any:
@@ -146,26 +97,75 @@ class Structured:
         return torch.einsum("emc,nmc->enm", weights, curves) + w["offset"][:, None]
 
 
-# ---- training ---------------------------------------------------------------------------------
-# Ensembles of networks, fitted side by side; each member stops early on a block it never sees.
+class Free:
+    """A network without structure.
 
-
-_DECAY = 1.0e-3  # of weights
-_LOOK = 10  # steps between looks at the block that is left out
-
-
-class Collocation(NamedTuple):
-    """States without a measurement, at which the equations of motion hold all the same.
-
-    Attributes:
-        samples: The states.
-        wanted: What the equations ask of the network there over its scale, shape (n, m).
-        weight: Of this loss beside the data.
+    Args:
+        scales: Sizes of inputs and outputs.
+        accelerations: Whether it sees them.
     """
 
-    samples: Samples
-    wanted: Array
-    weight: float
+    def __init__(self, scales: Scales, accelerations: bool = False) -> None:
+        self.scales, self.accelerations = scales, accelerations
+
+    def inputs(self, samples: Samples) -> tuple[Any, ...]:
+        """The arguments of `torque` at samples."""
+        s = self.scales
+        parts = [(samples.q - s.centre) / s.q, samples.v / s.v, np.tanh(samples.v / s.slow)]
+        if self.accelerations:
+            parts.append(samples.a / s.a)
+        return (torch.as_tensor(np.hstack(parts)),)
+
+    def torque(self, w: Weights, x: Any) -> Any:
+        """Torque over its scale of each member, shape (members, n, m)."""
+        h = torch.tanh(torch.einsum("ehx,nx->enh", w["W1"], x) + w["b1"][:, None])
+        h = torch.tanh(torch.einsum("ekh,enh->enk", w["W2"], h) + w["b2"][:, None])
+        return torch.einsum("emk,enk->enm", w["W3"], h) + w["b3"][:, None]
+
+
+def network_of(kind: str, scales: Scales, accelerations: bool = False) -> Any:
+    """The network of a kind."""
+    return Structured(scales) if kind == "structured" else Free(scales, accelerations)
+
+
+def first_weights(
+    kind: str, m: int, members: int, random: np.random.Generator, accelerations: bool = False
+) -> Mapping[str, Array]:
+    """First weights of a network of a kind, of all members."""
+    if kind == "structured":
+        return structured_weights(m, members, random)
+    return free_weights(m, members, (4 if accelerations else 3) * m, random)
+
+
+def structured_weights(joints: int, members: int, random: np.random.Generator) -> Weights:
+    """First weights of a network with structure."""
+    outputs = joints * (joints + 1) // 2 + 1  # of L, and V
+    found = dict(_layers(members, (2 * joints, HIDDEN, HIDDEN, outputs), random))
+    found["friction"] = np.full((members, joints, len(CURVES) + 1), -3.0)  # before softplus
+    found["offset"] = np.zeros((members, joints))
+    return found
+
+
+def _layers(members: int, sizes: tuple[int, ...], random: np.random.Generator) -> dict[str, Array]:
+    found = {}
+    for i, (before, after) in enumerate(pairwise(sizes), 1):
+        size = np.sqrt(1.0 / before) * (_FIRST_OUTPUT if i == len(sizes) - 1 else 1.0)
+        found[f"W{i}"] = size * random.normal(size=(members, after, before))
+        found[f"b{i}"] = np.zeros((members, after))
+    return found
+
+
+def free_weights(joints: int, members: int, inputs: int, random: np.random.Generator) -> Weights:
+    """First weights of a network without structure."""
+    return _layers(members, (inputs, HIDDEN, HIDDEN, joints), random)
+
+
+def said_by(network: Any, weights: Mapping[str, Array], samples: Samples) -> Array:
+    """Mean torque of the members [N·m or N], shape (n, m)."""
+    with torch.no_grad():
+        w = {key: torch.as_tensor(value) for key, value in weights.items()}
+        found: Array = network.torque(w, *network.inputs(samples)).mean(dim=0).numpy()
+    return found * network.scales.torque
 
 
 class Plan(NamedTuple):
@@ -187,6 +187,20 @@ class Plan(NamedTuple):
     seed: int = 0
     rate: float = 1.0e-2
     leaves_out: bool = True
+
+
+class Collocation(NamedTuple):
+    """States without a measurement, at which the equations of motion hold all the same.
+
+    Attributes:
+        samples: The states.
+        wanted: What the equations ask of the network there over its scale, shape (n, m).
+        weight: Of this loss beside the data.
+    """
+
+    samples: Samples
+    wanted: Array
+    weight: float
 
 
 class Trained(NamedTuple):
@@ -213,7 +227,7 @@ def train(
     """Fit all members.
 
     Args:
-        network: As in `network`.
+        network: `Free` or `Structured`.
         weights: First weights.
         samples: What is learned from.
         wanted: Torque over its scale, shape (n, m).
@@ -238,7 +252,7 @@ def train(
     for step in range(plan.steps + 1):
         current = _whole(fixed, moved, plan)
         square = (network.torque(current, *x) - y) ** 2
-        if step % _LOOK == 0 and (plan.leaves_out or step == plan.steps):
+        if step % _LOOK_EVERY == 0 and (plan.leaves_out or step == plan.steps):
             best.look(_mean(square.detach(), unseen), current)
             tell(step / plan.steps)
         loss = _mean(square, seen).sum()
@@ -255,11 +269,6 @@ def train(
         kept = {key: torch.as_tensor(value) for key, value in best.weights.items()}
         said = network.torque(kept, *x).numpy()
     return Trained(best.weights, np.einsum("enm,en->nm", said, left_out.astype(np.float64)))
-
-
-def _mean(square: Any, mask: Any) -> Any:
-    """Mean of each member over the samples of its mask, shape (members,)."""
-    return (square * mask).sum(dim=(1, 2)) / (mask.sum(dim=(1, 2)) * square.shape[2]).clamp(min=1)
 
 
 def _started(weights: Weights, plan: Plan) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -279,17 +288,6 @@ def _started(weights: Weights, plan: Plan) -> tuple[dict[str, Any], dict[str, An
     return given, moved
 
 
-def _whole(fixed: Mapping[str, Any], moved: Mapping[str, Any], plan: Plan) -> dict[str, Any]:
-    """The weights of the network."""
-    if not plan.rank:
-        return dict(moved)
-    found = dict(fixed)
-    for key in fixed:
-        if f"{key}.A" in moved:
-            found[key] = fixed[key] + moved[f"{key}.B"] @ moved[f"{key}.A"]
-    return found
-
-
 class _Best:
     """The weights of each member when it did best on the block that it never saw."""
 
@@ -304,3 +302,19 @@ class _Best:
         for key, value in weights.items():
             own = self.weights.setdefault(key, value.detach().numpy().copy())
             own[better] = value.detach().numpy()[better]
+
+
+def _whole(fixed: Mapping[str, Any], moved: Mapping[str, Any], plan: Plan) -> dict[str, Any]:
+    """The weights of the network."""
+    if not plan.rank:
+        return dict(moved)
+    found = dict(fixed)
+    for key in fixed:
+        if f"{key}.A" in moved:
+            found[key] = fixed[key] + moved[f"{key}.B"] @ moved[f"{key}.A"]
+    return found
+
+
+def _mean(square: Any, mask: Any) -> Any:
+    """Mean of each member over the samples of its mask, shape (members,)."""
+    return (square * mask).sum(dim=(1, 2)) / (mask.sum(dim=(1, 2)) * square.shape[2]).clamp(min=1)

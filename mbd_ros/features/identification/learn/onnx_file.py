@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
-from mbd_ros.features.identification.learn.ensembles import (
+from mbd_ros.features.identification.learn.scales import (
     CURVES,
     LEAST_INERTIA,
     Scales,
@@ -18,38 +18,6 @@ from mbd_ros.methods.learned import ABOUT, SUM, ZEROS, About, signed
 
 _OPSET = 17
 _IR = 8  # of the file format: what readers of some years ago know
-
-
-class _Graph:
-    """Nodes of a graph as they are written down, one a line."""
-
-    def __init__(self) -> None:
-        from onnx import helper, numpy_helper
-
-        self._node, self._tensor = helper.make_node, numpy_helper.from_array
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def constant(self, values: Any, kind: Any = np.float64) -> str:
-        """Name of an array."""
-        name = f"c{len(self.constants)}"
-        self.constants.append(self._tensor(np.ascontiguousarray(values, dtype=kind), name))
-        return name
-
-    def __call__(self, operator: str, *inputs: Any, name: str = "", **more: Any) -> str:
-        """Name of the result of an operator; arrays among its inputs become constants."""
-        given = [one if isinstance(one, str) else self.constant(one) for one in inputs]
-        output = name or f"n{len(self.nodes)}"
-        self.nodes.append(self._node(operator, given, [output], **more))
-        return output
-
-    def shaped(self, value: str, *shape: int) -> str:
-        """The same numbers in another shape."""
-        return self("Reshape", value, self.constant(shape, np.int64))
-
-    def turned(self, value: str, *order: int) -> str:
-        """The same numbers with other axes first."""
-        return self("Transpose", value, perm=order)
 
 
 def onnx_of(said: About, weights: Mapping[str, Array], scales: Scales, trust: Array) -> bytes:
@@ -92,36 +60,36 @@ def onnx_of(said: About, weights: Mapping[str, Array], scales: Scales, trust: Ar
         raise SolveError(f"{said.scene}: the model cannot be written: {error}") from error
 
 
-def _free(graph: _Graph, w: Mapping[str, Array], scales: Scales, trust: Array) -> None:
-    members, m = w["b3"].shape
-    q = graph("Div", graph("Sub", "position", scales.centre), scales.q)
-    v = graph("Div", "velocity", scales.v)
-    slow = graph("Tanh", graph("Div", "velocity", scales.slow))
-    x = graph.shaped(graph("Concat", q, v, slow, axis=0), 1, 3 * m, 1)
-    h, _ = _hidden(graph, w, x, "")
-    said = graph("Add", graph("MatMul", w["W3"], h), w["b3"][..., None])
-    torque = graph("Mul", graph.shaped(said, members, m), trust * scales.torque)
-    _spread(graph, torque)
+class _Graph:
+    """Nodes of a graph as they are written down, one a line."""
 
+    def __init__(self) -> None:
+        from onnx import helper, numpy_helper
 
-def _hidden(graph: _Graph, w: Mapping[str, Array], x: str, slopes: str) -> tuple[str, str]:
-    """Hidden layers (members, h, 1), and their derivatives (members, h, m) where slopes are."""
-    h = graph("Tanh", graph("Add", graph("MatMul", w["W1"], x), w["b1"][..., None]))
-    g = graph("Tanh", graph("Add", graph("MatMul", w["W2"], h), w["b2"][..., None]))
-    if not slopes:
-        return g, ""
-    one = np.ones((1, 1, 1))
-    J = graph("Mul", graph("Sub", one, graph("Mul", h, h)), slopes)
-    J = graph("MatMul", w["W2"], J)
-    return g, graph("Mul", graph("Sub", one, graph("Mul", g, g)), J)
+        self._node, self._tensor = helper.make_node, numpy_helper.from_array
+        self.nodes: list[Any] = []
+        self.constants: list[Any] = []
 
+    def constant(self, values: Any, kind: Any = np.float64) -> str:
+        """Name of an array."""
+        name = f"c{len(self.constants)}"
+        self.constants.append(self._tensor(np.ascontiguousarray(values, dtype=kind), name))
+        return name
 
-def _spread(graph: _Graph, torque: str) -> None:
-    """Mean and standard deviation over the members."""
-    mean = graph("ReduceMean", torque, name="torque", axes=[0], keepdims=0)
-    off = graph("Sub", torque, mean)
-    square = graph("ReduceMean", graph("Mul", off, off), axes=[0], keepdims=0)
-    graph("Sqrt", square, name="spread")
+    def __call__(self, operator: str, *inputs: Any, name: str = "", **more: Any) -> str:
+        """Name of the result of an operator; arrays among its inputs become constants."""
+        given = [one if isinstance(one, str) else self.constant(one) for one in inputs]
+        output = name or f"n{len(self.nodes)}"
+        self.nodes.append(self._node(operator, given, [output], **more))
+        return output
+
+    def shaped(self, value: str, *shape: int) -> str:
+        """The same numbers in another shape."""
+        return self("Reshape", value, self.constant(shape, np.int64))
+
+    def turned(self, value: str, *order: int) -> str:
+        """The same numbers with other axes first."""
+        return self("Transpose", value, perm=order)
 
 
 def _structured(graph: _Graph, w: Mapping[str, Array], scales: Scales, trust: float) -> None:
@@ -161,6 +129,18 @@ def _structured(graph: _Graph, w: Mapping[str, Array], scales: Scales, trust: fl
     graph("Mul", graph("ReduceMean", both, axes=[0], keepdims=0), size, name="inertia_rate")
 
 
+def _hidden(graph: _Graph, w: Mapping[str, Array], x: str, slopes: str) -> tuple[str, str]:
+    """Hidden layers (members, h, 1), and their derivatives (members, h, m) where slopes are."""
+    h = graph("Tanh", graph("Add", graph("MatMul", w["W1"], x), w["b1"][..., None]))
+    g = graph("Tanh", graph("Add", graph("MatMul", w["W2"], h), w["b2"][..., None]))
+    if not slopes:
+        return g, ""
+    one = np.ones((1, 1, 1))
+    J = graph("Mul", graph("Sub", one, graph("Mul", h, h)), slopes)
+    J = graph("MatMul", w["W2"], J)
+    return g, graph("Mul", graph("Sub", one, graph("Mul", g, g)), J)
+
+
 def _places(m: int) -> Array:
     """0 and 1: entries of a lower triangle to the m x m of its matrix."""
     rows, columns = np.tril_indices(m)
@@ -182,3 +162,23 @@ def _friction(graph: _Graph, w: Mapping[str, Array], scales: Scales) -> str:
         curve = graph("Tanh", graph("Div", ratio, np.array(bend)))
         found = graph("Add", found, graph("Mul", curve, weights[:, :, i]))
     return graph("Add", found, w["offset"] * scales.torque)
+
+
+def _spread(graph: _Graph, torque: str) -> None:
+    """Mean and standard deviation over the members."""
+    mean = graph("ReduceMean", torque, name="torque", axes=[0], keepdims=0)
+    off = graph("Sub", torque, mean)
+    square = graph("ReduceMean", graph("Mul", off, off), axes=[0], keepdims=0)
+    graph("Sqrt", square, name="spread")
+
+
+def _free(graph: _Graph, w: Mapping[str, Array], scales: Scales, trust: Array) -> None:
+    members, m = w["b3"].shape
+    q = graph("Div", graph("Sub", "position", scales.centre), scales.q)
+    v = graph("Div", "velocity", scales.v)
+    slow = graph("Tanh", graph("Div", "velocity", scales.slow))
+    x = graph.shaped(graph("Concat", q, v, slow, axis=0), 1, 3 * m, 1)
+    h, _ = _hidden(graph, w, x, "")
+    said = graph("Add", graph("MatMul", w["W3"], h), w["b3"][..., None])
+    torque = graph("Mul", graph.shaped(said, members, m), trust * scales.torque)
+    _spread(graph, torque)

@@ -8,7 +8,7 @@ import numpy as np
 from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.features.identification.learn.ensembles import Samples
+from mbd_ros.features.identification.learn.scales import Samples
 from mbd_ros.features.identification.learn.task import Task
 from mbd_ros.features.identification.samples import Piece, Recorded, band_of, pieces, read
 from mbd_ros.jobs.progress import Say

@@ -14,9 +14,9 @@ import yaml
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError, SceneError
 from mbd_ros.features.identification.learn.comparison import WAYS, compare
-from mbd_ros.features.identification.learn.correcting import Known
-from mbd_ros.features.identification.learn.ensembles import Scales
 from mbd_ros.features.identification.learn.job import run_learn
+from mbd_ros.features.identification.learn.linear_corrections import Known
+from mbd_ros.features.identification.learn.scales import Scales
 from mbd_ros.features.identification.learn.task import Learned, Outcome, Task
 from mbd_ros.features.identification.outcome import description_of, scene_text, write_files
 from mbd_ros.files.output_file import refuse_overwriting
@@ -27,9 +27,40 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 
 # The folder of a learned model: the network, its weights, the scene that loads it.
-
 MODEL, WEIGHTS, SCENE = "model.onnx", "weights.npz", "scene.yaml"
 _LARGEST = 256_000_000  # bytes of weights
+_MARKS = ("s", "D", "o", "^", "v")
+
+
+def learn_to(scene: Scene, task: Task, folder: Path, start: Path | None, say: Say) -> None:
+    """Write a model into a folder; all files, or none.
+
+    Raises:
+        MbdError: As `learn`, or a place that cannot be written to.
+    """
+    _refuse(folder, task, start)
+    if start is not None:
+        model = read_folder(start)
+        task, scene = task._replace(start=model), _as_identified(scene, start, model, say)
+    write_folder(folder, run_learn(scene, task, say), {}, say)
+
+
+def _refuse(folder: Path, task: Task, start: Path | None) -> None:
+    sources: Sequence[object] = (*task.motions, *task.wrenches, start)
+    refuse_overwriting(folder, *(source for source in sources if isinstance(source, Path)))
+
+
+def _as_identified(scene: Scene, folder: Path, model: Learned, say: Say) -> Scene:
+    """The scene that a model stands on, where this one is what it was identified from."""
+    said = model.about
+    if not said.given:
+        return scene
+    try:
+        check_robot(str(folder), said._replace(robot=said.given), scene.robot)
+    except ModelError:
+        return scene
+    say(f"{scene.name} as it was identified: {folder / SCENE}")
+    return load_scene(folder / SCENE)
 
 
 def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: Say) -> None:
@@ -55,6 +86,16 @@ def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: S
     write_files(folder, files, say)
 
 
+def _weights(model: Learned) -> bytes:
+    arrays = {f"weight.{key}": value for key, value in model.weights.items()}
+    arrays |= {f"scale.{key}": value for key, value in model.scales._asdict().items()}
+    arrays |= {f"known.{key}": value for key, value in model.known._asdict().items()}
+    arrays |= {"trust": model.trust, "numbers": model.numbers}
+    target = io.BytesIO()
+    np.savez_compressed(target, about=np.array(model.about.text()), **arrays)
+    return target.getvalue()
+
+
 def _scene(found: Outcome) -> bytes:
     """The scene that the network stands on, with the network."""
     values: dict[str, Any] = yaml.safe_load(scene_text(found.scene, "robot.urdf"))
@@ -69,16 +110,6 @@ def csv(columns: Any) -> bytes:
     lines = [",".join(column.name for column in columns)]
     lines += [",".join(x if isinstance(x, str) else repr(x) for x in row) for row in rows]
     return ("\n".join(lines) + "\n").encode()
-
-
-def _weights(model: Learned) -> bytes:
-    arrays = {f"weight.{key}": value for key, value in model.weights.items()}
-    arrays |= {f"scale.{key}": value for key, value in model.scales._asdict().items()}
-    arrays |= {f"known.{key}": value for key, value in model.known._asdict().items()}
-    arrays |= {"trust": model.trust, "numbers": model.numbers}
-    target = io.BytesIO()
-    np.savez_compressed(target, about=np.array(model.about.text()), **arrays)
-    return target.getvalue()
 
 
 def read_folder(folder: Path) -> Learned:
@@ -117,35 +148,6 @@ def _learned(path: Path, arrays: dict[str, Array]) -> Learned:
         raise DataError(f"{path}: is no file of mbd-ros learn: {error}") from error
 
 
-_MARKS = ("s", "D", "o", "^", "v")
-
-
-def learn_to(scene: Scene, task: Task, folder: Path, start: Path | None, say: Say) -> None:
-    """Write a model into a folder; all files, or none.
-
-    Raises:
-        MbdError: As `learn`, or a place that cannot be written to.
-    """
-    _refuse(folder, task, start)
-    if start is not None:
-        model = read_folder(start)
-        task, scene = task._replace(start=model), _as_identified(scene, start, model, say)
-    write_folder(folder, run_learn(scene, task, say), {}, say)
-
-
-def _as_identified(scene: Scene, folder: Path, model: Learned, say: Say) -> Scene:
-    """The scene that a model stands on, where this one is what it was identified from."""
-    said = model.about
-    if not said.given:
-        return scene
-    try:
-        check_robot(str(folder), said._replace(robot=said.given), scene.robot)
-    except ModelError:
-        return scene
-    say(f"{scene.name} as it was identified: {folder / SCENE}")
-    return load_scene(folder / SCENE)
-
-
 def compare_to(scene: Scene, task: Task, folder: Path, seeds: int, say: Say) -> None:
     """Write `comparison.csv`, `runs.csv` and `comparison.png`; all, or none.
 
@@ -162,11 +164,6 @@ def compare_to(scene: Scene, task: Task, folder: Path, seeds: int, say: Say) -> 
         "comparison.png": picture(found.summary),
     }
     write_files(folder, files, say)
-
-
-def _refuse(folder: Path, task: Task, start: Path | None) -> None:
-    sources: Sequence[object] = (*task.motions, *task.wrenches, start)
-    refuse_overwriting(folder, *(source for source in sources if isinstance(source, Path)))
 
 
 def picture(summary: Table) -> bytes:

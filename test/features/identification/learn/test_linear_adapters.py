@@ -5,9 +5,10 @@ import pytest
 from worn_leg import LEG, worn_leg
 
 import mbd_ros as mbd
-from mbd_ros.features.identification.learn.correcting import Columns, fitted
-from mbd_ros.features.identification.learn.ensembles import Scales, is_better, trusted
+from mbd_ros.features.identification.learn.cross_validation import is_better, trusted
+from mbd_ros.features.identification.learn.linear_corrections import Columns, fitted
 from mbd_ros.features.identification.learn.recordings import Recordings, share_of
+from mbd_ros.features.identification.learn.scales import Scales
 from mbd_ros.features.identification.learn.task import Task
 
 WALK = 1.2, (0.35, 0.5, 0.2), (0.05, -0.5, 0.0)  # s, rad, rad: stride, amplitudes, middles
