@@ -12,36 +12,6 @@ from mbd_ros.optimal_control.motion_phase import MotionPhase
 from mbd_ros.optimal_control.motion_program import Solution
 from mbd_ros.optimal_control.sparse_program import Block
 
-# ---- active bounds ----------------------------------------------------------------------------
-# Which bounds are active at the points of a solution.
-
-
-def status_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
-    """At every point: inputs, q, v, z, then quantities of `bounds` that are no unknowns.
-
-    A bound is active where its multiplier is larger than what is left to it, both in usual sizes.
-
-    Args:
-        phase: The phase.
-        number: Its number.
-        solution: The solution.
-    """
-    places = np.hstack([solution.unknowns[number].points[letter] for letter in "uqvz"])
-    return np.hstack((_of_unknowns(phase, number, solution)[places], _of_rows(solution, number)))
-
-
-def begins_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
-    """At the first node of every interval: q, v and z.
-
-    Args:
-        phase: The phase.
-        number: Its number.
-        solution: The solution.
-    """
-    places = solution.unknowns[number].state[:-1]
-    found: Status = _of_unknowns(phase, number, solution)[places]
-    return found
-
 
 class Active(NamedTuple):
     """A bound that is active.
@@ -78,13 +48,18 @@ def active_bounds(phase: MotionPhase, number: int, solution: Solution) -> list[A
     return found
 
 
-def path_forces(solution: Solution, number: int) -> Array:
-    """Sizes of multipliers of quantities of `bounds` that are no unknowns, shape (m, k)."""
-    found = _rows_of_bounds(solution, number)
-    if found is None:
-        return np.zeros((len(solution.unknowns[number].points["q"]), 0))
-    block, rows = found
-    return np.abs(solution.solved.row_forces[rows]).reshape(block.count, block.form.rows)
+def status_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
+    """At every point: inputs, q, v, z, then quantities of `bounds` that are no unknowns.
+
+    A bound is active where its multiplier is larger than what is left to it, both in usual sizes.
+
+    Args:
+        phase: The phase.
+        number: Its number.
+        solution: The solution.
+    """
+    places = np.hstack([solution.unknowns[number].points[letter] for letter in "uqvz"])
+    return np.hstack((_of_unknowns(phase, number, solution)[places], _of_rows(solution, number)))
 
 
 def _of_unknowns(phase: MotionPhase, number: int, solution: Solution) -> Status:
@@ -128,8 +103,26 @@ def _side(values: Array, pulls: Array, block: Block) -> Status:
     return found
 
 
-# ---- costates ---------------------------------------------------------------------------------
-# What the cost gains where a state of a solution is changed: costates, at nodes.
+def begins_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
+    """At the first node of every interval: q, v and z.
+
+    Args:
+        phase: The phase.
+        number: Its number.
+        solution: The solution.
+    """
+    places = solution.unknowns[number].state[:-1]
+    found: Status = _of_unknowns(phase, number, solution)[places]
+    return found
+
+
+def path_forces(solution: Solution, number: int) -> Array:
+    """Sizes of multipliers of quantities of `bounds` that are no unknowns, shape (m, k)."""
+    found = _rows_of_bounds(solution, number)
+    if found is None:
+        return np.zeros((len(solution.unknowns[number].points["q"]), 0))
+    block, rows = found
+    return np.abs(solution.solved.row_forces[rows]).reshape(block.count, block.form.rows)
 
 
 def costates(solution: Solution, number: int) -> dict[str, Array]:

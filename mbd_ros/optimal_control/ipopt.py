@@ -4,6 +4,8 @@ Source: A. Waechter, L. T. Biegler, On the implementation of an interior-point f
 algorithm for large-scale nonlinear programming, Mathematical Programming 106, 2006.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -39,34 +41,6 @@ PIECEWISE: Mapping[str, Any] = {"barrier_tol_factor": 1.0e3}
 _NO_OPTIONS: Mapping[str, Any] = {}
 Progress = Callable[[], tuple[float, float]]  # cost and violation
 Tell = Callable[[int, Progress], bool]  # number of the iteration; whether to stop
-
-
-class Solved(NamedTuple):
-    """What a solver leaves.
-
-    Attributes:
-        x: The unknowns, shape (n,).
-        cost: The cost.
-        rows: Values of the rows, shape (m,).
-        row_forces: Multipliers of the rows: what the cost loses a unit of their bounds, (m,).
-        bound_forces: Multipliers of bounds of the unknowns, shape (n,).
-        status: What the solver says.
-        iterations: How many it took.
-        is_good: Whether conditions of optimality hold.
-        violation: Largest violation of rows, in their usual sizes.
-        stationarity: Largest slope of the Lagrangian, in usual sizes.
-    """
-
-    x: Array
-    cost: float
-    rows: Array
-    row_forces: Array
-    bound_forces: Array
-    status: str
-    iterations: int
-    is_good: bool
-    violation: float
-    stationarity: float
 
 
 def solve(
@@ -126,40 +100,6 @@ def solve(
     return _solved(program, guess, found, solver.stats(), functions)
 
 
-def _solved(
-    program: SparseProgram, guess: Array, found: Any, stats: Any, functions: Any
-) -> Solved:
-    at, sizes, x = program.open, program.sizes[program.open], guess.copy()
-    y, lam = _flat(found["x"]), _flat(found["lam_g"])
-    pulls, bounds = _flat(found["lam_x"]), np.zeros(len(x))
-    x[at] = y * sizes
-    rows = _flat(found["g"])
-    lower, upper = program.bounds
-    off = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)
-    slope = _flat(functions["grad_f"](y, [])[1])
-    if program.m:
-        slope = slope + _flat(functions["jac_g"](y, [])[1].T @ found["lam_g"])
-    cost = program.cost_size
-    bounds[at] = pulls * cost / sizes
-    status = str(stats["return_status"])
-    return Solved(
-        x,
-        float(found["f"]) * cost,
-        rows * program.row_sizes,
-        lam * cost / program.row_sizes,
-        bounds,
-        status,
-        int(stats["iter_count"]),
-        status in _GOOD,
-        float(off.max(initial=0.0)),
-        float(np.abs(slope + pulls).max(initial=0.0)),
-    )
-
-
-def _flat(values: Any) -> Array:
-    return np.array(ca.DM(values).full(), dtype=np.float64).ravel()
-
-
 class _Watch(ca.Callback):  # type: ignore[misc]
     """What is called after every iteration."""
 
@@ -195,3 +135,65 @@ class _Watch(ca.Callback):  # type: ignore[misc]
             return float(given[1]), float(off)
 
         return [int(self._tell(self.iterations, progress))]
+
+
+def _flat(values: Any) -> Array:
+    return np.array(ca.DM(values).full(), dtype=np.float64).ravel()
+
+
+def _solved(
+    program: SparseProgram, guess: Array, found: Any, stats: Any, functions: Any
+) -> Solved:
+    at, sizes, x = program.open, program.sizes[program.open], guess.copy()
+    y, lam = _flat(found["x"]), _flat(found["lam_g"])
+    pulls, bounds = _flat(found["lam_x"]), np.zeros(len(x))
+    x[at] = y * sizes
+    rows = _flat(found["g"])
+    lower, upper = program.bounds
+    off = np.maximum(np.maximum(lower - rows, rows - upper), 0.0)
+    slope = _flat(functions["grad_f"](y, [])[1])
+    if program.m:
+        slope = slope + _flat(functions["jac_g"](y, [])[1].T @ found["lam_g"])
+    cost = program.cost_size
+    bounds[at] = pulls * cost / sizes
+    status = str(stats["return_status"])
+    return Solved(
+        x,
+        float(found["f"]) * cost,
+        rows * program.row_sizes,
+        lam * cost / program.row_sizes,
+        bounds,
+        status,
+        int(stats["iter_count"]),
+        status in _GOOD,
+        float(off.max(initial=0.0)),
+        float(np.abs(slope + pulls).max(initial=0.0)),
+    )
+
+
+class Solved(NamedTuple):
+    """What a solver leaves.
+
+    Attributes:
+        x: The unknowns, shape (n,).
+        cost: The cost.
+        rows: Values of the rows, shape (m,).
+        row_forces: Multipliers of the rows: what the cost loses a unit of their bounds, (m,).
+        bound_forces: Multipliers of bounds of the unknowns, shape (n,).
+        status: What the solver says.
+        iterations: How many it took.
+        is_good: Whether conditions of optimality hold.
+        violation: Largest violation of rows, in their usual sizes.
+        stationarity: Largest slope of the Lagrangian, in usual sizes.
+    """
+
+    x: Array
+    cost: float
+    rows: Array
+    row_forces: Array
+    bound_forces: Array
+    status: str
+    iterations: int
+    is_good: bool
+    violation: float
+    stationarity: float

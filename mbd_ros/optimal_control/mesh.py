@@ -1,4 +1,12 @@
-"""Intervals of a phase, and the next mesh."""
+"""Intervals of a phase, and the next mesh.
+
+Intervals whose error is too large are split by the order of their method. Where bounds begin and
+cease to be active, inputs jump or bend. A polynomial cannot follow a jump within an interval, and
+its error does not show, since the motion is exact for the inputs that it has. So a node is put
+near every change, and moves with the motion to where it costs least.
+"""
+
+from __future__ import annotations
 
 import itertools
 import math
@@ -11,11 +19,15 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import Array
 from mbd_ros.optimal_control.collocation import Collocation, collocation
 
-# ---- mesh -------------------------------------------------------------------------------------
-# Intervals of a phase, and the numbers of what is unknown on them.
-
-
 Numbers = NDArray[np.intp]
+Status = NDArray[np.int_]  # -1 at a lower bound, 1 at an upper one, else 0
+_UNKNOWN = 2  # no status: differs from all others
+_MOST = 24  # changes in a phase: more of them are no structure
+_SHORTEST = 1.0e-7  # of a phase: jumps are not resolved any further
+_WIDEST = 0.7  # of an interval that is to be split: the widest part that is left of it
+_AT_NODE = 0.02  # of an interval: a change so near to a node is at it
+_MOST_PARTS = 4  # of one interval at once: an estimate far from its limit says no more
+_SAFE = 0.5  # of the tolerance: what a refined interval aims at
 
 
 class Mesh(NamedTuple):
@@ -83,23 +95,23 @@ def mesh_of(
     return Mesh(scheme, np.array(degrees, dtype=np.intp), whole / whole.sum(), moves)
 
 
-# ---- bound structure --------------------------------------------------------------------------
-# Where bounds begin and cease to be active: there inputs jump or bend, and nodes should stand.
-#
-# A polynomial cannot follow a jump within an interval, and its error does not show, since the
-# motion
-# is exact for the inputs that it has. So a node is put near every change, and moves with the
-# motion
-# to where it costs least.
+def refined(mesh: Mesh, errors: Array, tolerance: float) -> Mesh:
+    """Intervals whose error is too large are split, by the order of their method.
 
-
-Status = NDArray[np.int_]  # -1 at a lower bound, 1 at an upper one, else 0
-
-_UNKNOWN = 2  # no status: differs from all others
-_MOST = 24  # changes in a phase: more of them are no structure
-_SHORTEST = 1.0e-7  # of a phase
-_WIDEST = 0.7  # of an interval that is to be split: the widest part that is left of it
-_AT_NODE = 0.02  # of an interval: a change so near to a node is at it
+    Args:
+        mesh: The mesh.
+        errors: Relative error of each interval, shape (n,).
+        tolerance: What is accepted.
+    """
+    degrees, widths = list[int](), list[float]()
+    for degree, width, error in zip(mesh.degrees, mesh.widths, errors, strict=True):
+        parts = 1
+        if error > tolerance and width > _SHORTEST:
+            wanted = (error / (_SAFE * tolerance)) ** (1.0 / (degree + 1))
+            parts = min(max(2, math.ceil(wanted)), _MOST_PARTS)
+        degrees += [int(degree)] * parts
+        widths += [width / parts] * parts
+    return mesh_of(mesh.scheme, degrees, np.array(widths))
 
 
 def changes(mesh: Mesh, status: Status, inputs: Array) -> list[float]:
@@ -125,6 +137,37 @@ def changes(mesh: Mesh, status: Status, inputs: Array) -> list[float]:
             else:
                 found.add(float(0.5 * (shares[i] + shares[i + 1])))
     return sorted(found) if len(found) <= _MOST else []
+
+
+def _jump(mesh: Mesh, interval: int, values: Array) -> float:
+    """Where an input would jump between the values that it has at the ends of an interval."""
+    own = slice(*mesh.first_points[interval : interval + 2])
+    some = values[own]
+    mean = float(mesh.scheme_of(int(mesh.degrees[interval])).b @ some)
+    inside = np.clip((mean - some[-1]) / (some[0] - some[-1]), 0.0, 1.0)
+    return float(mesh.knots[interval] + mesh.widths[interval] * inside)
+
+
+def with_knots(mesh: Mesh, shares: list[float]) -> Mesh:
+    """The mesh with a node that may move at each of some places."""
+    knots, degrees, moving = mesh.knots.tolist(), mesh.degrees.tolist(), set[float]()
+    for share in shares:
+        i = int(np.clip(np.searchsorted(knots, share, side="right") - 1, 0, len(degrees) - 1))
+        near = min((knots[i], knots[i + 1]), key=lambda one: abs(one - share))
+        if abs(near - share) > _AT_NODE * (knots[i + 1] - knots[i]):
+            knots.insert(i + 1, share)
+            degrees.insert(i + 1, degrees[i])
+            near = share
+        if 0.0 < near < 1.0:
+            moving.add(near)
+    free = np.array([knot in moving for knot in knots[1:]], dtype=np.bool_)
+    return Mesh(mesh.scheme, np.array(degrees, dtype=np.intp), np.diff(knots), free)
+
+
+def is_settled(mesh: Mesh, shares: list[float]) -> bool:
+    """Whether every change is at a node that may move."""
+    moving = mesh.knots[1:][mesh.free]
+    return all(np.abs(moving - share).min(initial=np.inf) < 1.0e-9 for share in shares)
 
 
 def bracketed(mesh: Mesh, status: Status, begins: Status, wanted: NDArray[np.bool_]) -> Mesh:
@@ -166,62 +209,3 @@ def _at_begins(mesh: Mesh, status: Status, begins: Status) -> Status:
     found[0] = after[0]
     found[:, : begins.shape[1]] = begins
     return found
-
-
-def with_knots(mesh: Mesh, shares: list[float]) -> Mesh:
-    """The mesh with a node that may move at each of some places."""
-    knots, degrees, moving = mesh.knots.tolist(), mesh.degrees.tolist(), set[float]()
-    for share in shares:
-        i = int(np.clip(np.searchsorted(knots, share, side="right") - 1, 0, len(degrees) - 1))
-        near = min((knots[i], knots[i + 1]), key=lambda one: abs(one - share))
-        if abs(near - share) > _AT_NODE * (knots[i + 1] - knots[i]):
-            knots.insert(i + 1, share)
-            degrees.insert(i + 1, degrees[i])
-            near = share
-        if 0.0 < near < 1.0:
-            moving.add(near)
-    free = np.array([knot in moving for knot in knots[1:]], dtype=np.bool_)
-    return Mesh(mesh.scheme, np.array(degrees, dtype=np.intp), np.diff(knots), free)
-
-
-def is_settled(mesh: Mesh, shares: list[float]) -> bool:
-    """Whether every change is at a node that may move."""
-    moving = mesh.knots[1:][mesh.free]
-    return all(np.abs(moving - share).min(initial=np.inf) < 1.0e-9 for share in shares)
-
-
-def _jump(mesh: Mesh, interval: int, values: Array) -> float:
-    """Where an input would jump between the values that it has at the ends of an interval."""
-    own = slice(*mesh.first_points[interval : interval + 2])
-    some = values[own]
-    mean = float(mesh.scheme_of(int(mesh.degrees[interval])).b @ some)
-    inside = np.clip((mean - some[-1]) / (some[0] - some[-1]), 0.0, 1.0)
-    return float(mesh.knots[interval] + mesh.widths[interval] * inside)
-
-
-# ---- refinement -------------------------------------------------------------------------------
-# The next mesh from the errors of a motion on the last one.
-
-
-_MOST_PARTS = 4  # of one interval at once: an estimate far from its limit says no more
-_SAFE = 0.5  # of the tolerance: what a refined interval aims at
-_REFINEMENT_SHORTEST = 1.0e-7  # of a phase: jumps are not resolved any further
-
-
-def refined(mesh: Mesh, errors: Array, tolerance: float) -> Mesh:
-    """Intervals whose error is too large are split, by the order of their method.
-
-    Args:
-        mesh: The mesh.
-        errors: Relative error of each interval, shape (n,).
-        tolerance: What is accepted.
-    """
-    degrees, widths = list[int](), list[float]()
-    for degree, width, error in zip(mesh.degrees, mesh.widths, errors, strict=True):
-        parts = 1
-        if error > tolerance and width > _REFINEMENT_SHORTEST:
-            wanted = (error / (_SAFE * tolerance)) ** (1.0 / (degree + 1))
-            parts = min(max(2, math.ceil(wanted)), _MOST_PARTS)
-        degrees += [int(degree)] * parts
-        widths += [width / parts] * parts
-    return mesh_of(mesh.scheme, degrees, np.array(widths))

@@ -1,5 +1,7 @@
 """A phase of a motion in a program: its equations, bounds, conditions at ends and costs."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from copy import copy
 from typing import Any
@@ -10,88 +12,20 @@ import numpy as np
 from mbd_ros.core.contracts import Sensor
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-from mbd_ros.optimal_control.defects import (
-    CLOSING,
-    LETTERS,
-    MOTION,
-    PhaseEquations,
-    PhaseForms,
-    Usual,
-    usual_sizes,
-)
+from mbd_ros.optimal_control.defects import CLOSING, MOTION, PhaseForms
 from mbd_ros.optimal_control.goals import PhaseCosts, Reference
 from mbd_ros.optimal_control.limits import PATH, PathBounds, usual_bounds
 from mbd_ros.optimal_control.mesh import Numbers
+from mbd_ros.optimal_control.phase_equations import LETTERS, PhaseEquations, Usual, usual_sizes
+from mbd_ros.optimal_control.phase_motion import PhaseMotion, Unknowns
 from mbd_ros.optimal_control.problem import NONE_GIVEN, GivenInputs, PhaseProblem, Range, Ranges
 from mbd_ros.optimal_control.quantities import Quantities, Quantity, input_bounds, stops
 from mbd_ros.optimal_control.sparse_program import Block
-from mbd_ros.optimal_control.unknowns import PhaseMotion, Unknowns
-
-# What a task says of the state at an end of a phase.
 
 START, END = "start", "end"
 _ROUNDING = 1.0e-9
-
-
-class EndConditions:
-    """Quantities and their ranges at one end.
-
-    Args:
-        name: `START` or `END`.
-        ranges: Quantities of states, and their ranges.
-        forms: Of the phase.
-
-    Attributes:
-        ranges: As given.
-        derived: Those of quantities that are no unknowns.
-    """
-
-    def __init__(
-        self, name: str, ranges: Sequence[tuple[Quantity, Range]], forms: PhaseForms
-    ) -> None:
-        self.name, self.ranges = name, list(ranges)
-        self.derived = [one for one in ranges if not one[0].letter]
-        if self.derived:
-            self._form = forms.node_form(ca.vertcat(*(one.value for one, _ in self.derived)))
-        self._forms = forms
-
-    def write(self, unknowns: Unknowns, lower: Array, upper: Array) -> None:
-        """Write what they say of single unknowns into their bounds.
-
-        Raises:
-            ModelError: They contradict the bounds; names the quantity and both.
-        """
-        for one, (low, high) in self.ranges:
-            if one.letter:
-                at = unknowns.nodes[one.letter][0 if self.name == START else -1, one.index]
-                self._refuse_outside(one.name, (low, high), (lower[at], upper[at]))
-                if low == high:
-                    lower[at] = upper[at] = low
-                else:
-                    lower[at], upper[at] = max(lower[at], low), min(upper[at], high)
-
-    def blocks(self, unknowns: Unknowns) -> list[Block]:
-        """Rows of quantities that are no unknowns."""
-        if not self.derived:
-            return []
-        is_end = self.name == END
-        nodes = np.array([unknowns.mesh.intervals if is_end else 0])
-        low, high = np.array([bounds for _, bounds in self.derived]).T
-        places, share = self._forms.node_places(unknowns, nodes), np.array([[float(is_end)]])
-        size = usual_bounds(low, high)
-        return [Block(self.name, self._form, places, share, low, high, size)]
-
-    def _refuse_outside(self, name: str, asked: Range, bounds: Range) -> None:
-        slack = _ROUNDING * (1.0 + max(map(abs, asked)))
-        if asked[0] > bounds[1] + slack or asked[1] < bounds[0] - slack:
-            raise ModelError(
-                f"{name} {asked[0]:g} .. {asked[1]:g} at the {self.name} contradicts its bounds "
-                f"{bounds[0]:g} .. {bounds[1]:g}"
-            )
-
-
-Limits = Sequence[tuple[Quantity, Range]]
 _AT_NODES = "qvz"
+Limits = Sequence[tuple[Quantity, Range]]
 
 
 class MotionPhase:
@@ -140,7 +74,7 @@ class MotionPhase:
         self._path = PathBounds([one for one in self._bounds if not one[0].letter], self.forms)
         self.limits = PathBounds(limits, self.forms)
 
-    def limited(self) -> "MotionPhase":
+    def limited(self) -> MotionPhase:
         """The phase with its limits among its bounds."""
         found = copy(self)
         found._bounds = [*self._bounds, *self.limits.bounds]
@@ -314,3 +248,60 @@ class MotionPhase:
 def _as_row(one: Quantity, bounds: Range) -> tuple[Quantity, Range]:
     """A multiplier as a quantity that is no unknown: its bounds hold between points too."""
     return (one._replace(letter="", index=-1) if one.letter == "l" else one), bounds
+
+
+class EndConditions:
+    """Quantities and their ranges at one end.
+
+    Args:
+        name: `START` or `END`.
+        ranges: Quantities of states, and their ranges.
+        forms: Of the phase.
+
+    Attributes:
+        ranges: As given.
+        derived: Those of quantities that are no unknowns.
+    """
+
+    def __init__(
+        self, name: str, ranges: Sequence[tuple[Quantity, Range]], forms: PhaseForms
+    ) -> None:
+        self.name, self.ranges = name, list(ranges)
+        self.derived = [one for one in ranges if not one[0].letter]
+        if self.derived:
+            self._form = forms.node_form(ca.vertcat(*(one.value for one, _ in self.derived)))
+        self._forms = forms
+
+    def write(self, unknowns: Unknowns, lower: Array, upper: Array) -> None:
+        """Write what they say of single unknowns into their bounds.
+
+        Raises:
+            ModelError: They contradict the bounds; names the quantity and both.
+        """
+        for one, (low, high) in self.ranges:
+            if one.letter:
+                at = unknowns.nodes[one.letter][0 if self.name == START else -1, one.index]
+                self._refuse_outside(one.name, (low, high), (lower[at], upper[at]))
+                if low == high:
+                    lower[at] = upper[at] = low
+                else:
+                    lower[at], upper[at] = max(lower[at], low), min(upper[at], high)
+
+    def blocks(self, unknowns: Unknowns) -> list[Block]:
+        """Rows of quantities that are no unknowns."""
+        if not self.derived:
+            return []
+        is_end = self.name == END
+        nodes = np.array([unknowns.mesh.intervals if is_end else 0])
+        low, high = np.array([bounds for _, bounds in self.derived]).T
+        places, share = self._forms.node_places(unknowns, nodes), np.array([[float(is_end)]])
+        size = usual_bounds(low, high)
+        return [Block(self.name, self._form, places, share, low, high, size)]
+
+    def _refuse_outside(self, name: str, asked: Range, bounds: Range) -> None:
+        slack = _ROUNDING * (1.0 + max(map(abs, asked)))
+        if asked[0] > bounds[1] + slack or asked[1] < bounds[0] - slack:
+            raise ModelError(
+                f"{name} {asked[0]:g} .. {asked[1]:g} at the {self.name} contradicts its bounds "
+                f"{bounds[0]:g} .. {bounds[1]:g}"
+            )

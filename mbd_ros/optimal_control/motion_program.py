@@ -1,5 +1,7 @@
 """Phases of a motion, with what links them, as one program; its solution as motions."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
@@ -9,98 +11,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
-from mbd_ros.optimal_control.defects import LETTERS
-from mbd_ros.optimal_control.error_estimate import looked_at
 from mbd_ros.optimal_control.ipopt import KINKED, PIECEWISE, Solved, Tell, solve
 from mbd_ros.optimal_control.motion_phase import MotionPhase
+from mbd_ros.optimal_control.phase_equations import LETTERS
+from mbd_ros.optimal_control.phase_motion import PhaseMotion, Unknowns, looked_at
 from mbd_ros.optimal_control.problem import Range
 from mbd_ros.optimal_control.sparse_program import Block, Form, SparseProgram
-from mbd_ros.optimal_control.unknowns import PhaseMotion, Unknowns
-
-# Nodes of a mesh that move with the motion: widths of intervals that are unknown.
 
 NARROWEST = 1.0e-3  # of its width: what a node that moves leaves of an interval
-
-
-def bound_widths(unknowns: Unknowns, lower: Array, upper: Array) -> None:
-    """Write bounds of the widths: fixed, but beside nodes that may move."""
-    mesh, free = unknowns.mesh, unknowns.mesh.free
-    lower[unknowns.widths] = upper[unknowns.widths] = mesh.widths
-    beside: NDArray[np.bool_] = free | np.concatenate(([False], free[:-1]))
-    moving = np.flatnonzero(beside)
-    lower[unknowns.widths[moving]] = NARROWEST * mesh.widths[moving]
-    upper[unknowns.widths[moving]] = 1.0
-
-
-def moving_knots(unknowns: Unknowns) -> list[Block]:
-    """Intervals between nodes that stand keep their sum."""
-    found, run = list[Block](), list[int]()
-    for i, moves in enumerate(unknowns.mesh.free):
-        run.append(i)
-        if not moves and len(run) > 1:
-            x = ca.SX.sym("w", len(run))
-            total = float(unknowns.mesh.widths[run].sum())
-            form = Form(x, ca.SX(0, 1), ca.sum1(x))
-            found.append(Block("knots", form, unknowns.widths[run][:, None], None, total, total))
-        run = run if moves else []
-    return found
-
-
 _NODES = "qvz"
 _TWICE = {"perturb_always_cd": "yes"}  # conditions that depend on each other do no harm
-
-
-class Linkage(Protocol):
-    """What links ends of phases.
-
-    Attributes:
-        count: Unknowns of its own.
-    """
-
-    count: int
-
-    def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
-        """Blocks of rows, and the number after their own unknowns, which begin with `first`."""
-
-    def limited(self) -> "Linkage":
-        """With what impulses have to keep among the rows."""
-
-    def keeps_limits(self, own: Array) -> bool:
-        """Whether its own unknowns keep that."""
-
-
-class Parameter(NamedTuple):
-    """A number of the scene that is unknown.
-
-    Attributes:
-        name: As `Scene.with_` takes it.
-        bounds: Least and largest value.
-        value: To begin with.
-    """
-
-    name: str
-    bounds: Range
-    value: float
-
-
-class Solution(NamedTuple):
-    """What was found.
-
-    Attributes:
-        motions: Of each phase.
-        parameters: Values of the parameters.
-        solved: What the solver leaves.
-        program: What was solved.
-        unknowns: Of each phase.
-        links: Unknowns of the linkages, such as impulses.
-    """
-
-    motions: tuple[PhaseMotion, ...]
-    parameters: Array
-    solved: Solved
-    program: SparseProgram
-    unknowns: tuple[Unknowns, ...]
-    links: Array
 
 
 class MotionProgram:
@@ -167,7 +87,7 @@ class MotionProgram:
         """Whether slopes of the equations may jump, since couplings are made of pieces."""
         return any(phase.equations.has_pieces for phase in self.phases)
 
-    def limited(self) -> "MotionProgram":
+    def limited(self) -> MotionProgram:
         """The program with all limits of phases and linkages among its rows."""
         phases = [one.limited() for one in self.phases]
         linkages = [one.limited() for one in self._linkages]
@@ -248,16 +168,37 @@ class MotionProgram:
         return lower, upper
 
 
-def written(x: Array, unknowns: Unknowns, motion: PhaseMotion) -> None:
-    """Write a motion on the mesh of some unknowns into these."""
-    for letter in _NODES:
-        x[unknowns.nodes[letter]] = motion.nodes[letter]
-    for letter in LETTERS:
-        x[unknowns.points[letter]] = motion.points[letter]
-    x[unknowns.begin], x[unknowns.duration] = motion.begin, motion.duration
-    x[unknowns.widths] = motion.mesh.widths
-    if unknowns.steps.size:
-        x[unknowns.steps] = motion.points["d"]
+class Parameter(NamedTuple):
+    """A number of the scene that is unknown.
+
+    Attributes:
+        name: As `Scene.with_` takes it.
+        bounds: Least and largest value.
+        value: To begin with.
+    """
+
+    name: str
+    bounds: Range
+    value: float
+
+
+class Linkage(Protocol):
+    """What links ends of phases.
+
+    Attributes:
+        count: Unknowns of its own.
+    """
+
+    count: int
+
+    def blocks(self, every: Sequence[Unknowns], first: int) -> tuple[list[Block], int]:
+        """Blocks of rows, and the number after their own unknowns, which begin with `first`."""
+
+    def limited(self) -> Linkage:
+        """With what impulses have to keep among the rows."""
+
+    def keeps_limits(self, own: Array) -> bool:
+        """Whether its own unknowns keep that."""
 
 
 def read(x: Array, unknowns: Unknowns) -> PhaseMotion:
@@ -270,6 +211,62 @@ def read(x: Array, unknowns: Unknowns) -> PhaseMotion:
     return PhaseMotion(mesh, x[unknowns.begin], x[unknowns.duration], nodes, points, bases)
 
 
+def written(x: Array, unknowns: Unknowns, motion: PhaseMotion) -> None:
+    """Write a motion on the mesh of some unknowns into these."""
+    for letter in _NODES:
+        x[unknowns.nodes[letter]] = motion.nodes[letter]
+    for letter in LETTERS:
+        x[unknowns.points[letter]] = motion.points[letter]
+    x[unknowns.begin], x[unknowns.duration] = motion.begin, motion.duration
+    x[unknowns.widths] = motion.mesh.widths
+    if unknowns.steps.size:
+        x[unknowns.steps] = motion.points["d"]
+
+
+def moving_knots(unknowns: Unknowns) -> list[Block]:
+    """Intervals between nodes that stand keep their sum."""
+    found, run = list[Block](), list[int]()
+    for i, moves in enumerate(unknowns.mesh.free):
+        run.append(i)
+        if not moves and len(run) > 1:
+            x = ca.SX.sym("w", len(run))
+            total = float(unknowns.mesh.widths[run].sum())
+            form = Form(x, ca.SX(0, 1), ca.sum1(x))
+            found.append(Block("knots", form, unknowns.widths[run][:, None], None, total, total))
+        run = run if moves else []
+    return found
+
+
 def _following() -> Form:
     begin, T, after = (ca.SX.sym(name) for name in ("b", "T", "a"))
     return Form(ca.vertcat(begin, T, after), ca.SX(0, 1), after - begin - T)
+
+
+def bound_widths(unknowns: Unknowns, lower: Array, upper: Array) -> None:
+    """Write bounds of the widths: fixed, but beside nodes that may move."""
+    mesh, free = unknowns.mesh, unknowns.mesh.free
+    lower[unknowns.widths] = upper[unknowns.widths] = mesh.widths
+    beside: NDArray[np.bool_] = free | np.concatenate(([False], free[:-1]))
+    moving = np.flatnonzero(beside)
+    lower[unknowns.widths[moving]] = NARROWEST * mesh.widths[moving]
+    upper[unknowns.widths[moving]] = 1.0
+
+
+class Solution(NamedTuple):
+    """What was found.
+
+    Attributes:
+        motions: Of each phase.
+        parameters: Values of the parameters.
+        solved: What the solver leaves.
+        program: What was solved.
+        unknowns: Of each phase.
+        links: Unknowns of the linkages, such as impulses.
+    """
+
+    motions: tuple[PhaseMotion, ...]
+    parameters: Array
+    solved: Solved
+    program: SparseProgram
+    unknowns: tuple[Unknowns, ...]
+    links: Array

@@ -1,5 +1,7 @@
 """What is asked of a motion: bounds, conditions, goals and inputs of each phase."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -8,29 +10,30 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.optimal_control.mesh import Mesh, Numbers
 
-# ---- problem ----------------------------------------------------------------------------------
-# What is asked of a motion: bounds, conditions at ends and goals of each phase, by names.
-
-
 Range = tuple[float, float]
 Ranges = Mapping[str, Range]
 NOTHING: Mapping[str, Any] = {}
+_WORDS = (
+    ("position", "xyz"),
+    ("orientation", "xyzw"),
+    ("linear_velocity", "xyz"),
+    ("angular_velocity", "xyz"),
+)
 
 
-class Goal(NamedTuple):
-    """A term of the cost.
+class GivenInputs(NamedTuple):
+    """Inputs that are known over time.
 
     Attributes:
-        kind: Name of the goal.
-        weight: What it counts.
-        options: Its other arguments, complete.
-        name: For messages and tables.
+        places: Where they stand in u, shape (k,).
+        at: Shares of the duration of a phase, shape (m,) -> values, shape (m, k).
     """
 
-    kind: str
-    weight: float = 1.0
-    options: Mapping[str, Any] = NOTHING
-    name: str = ""
+    places: Numbers
+    at: Callable[[Array], Array]
+
+
+NONE_GIVEN = GivenInputs(np.zeros(0, dtype=np.intp), lambda shares: np.zeros((len(shares), 0)))
 
 
 class PhaseProblem(NamedTuple):
@@ -55,35 +58,20 @@ class PhaseProblem(NamedTuple):
     mesh: Mesh
 
 
-# ---- given inputs -----------------------------------------------------------------------------
-# Inputs of a motion that are no unknowns: measured loads.
-
-
-class GivenInputs(NamedTuple):
-    """Inputs that are known over time.
+class Goal(NamedTuple):
+    """A term of the cost.
 
     Attributes:
-        places: Where they stand in u, shape (k,).
-        at: Shares of the duration of a phase, shape (m,) -> values, shape (m, k).
+        kind: Name of the goal.
+        weight: What it counts.
+        options: Its other arguments, complete.
+        name: For messages and tables.
     """
 
-    places: Numbers
-    at: Callable[[Array], Array]
-
-
-NONE_GIVEN = GivenInputs(np.zeros(0, dtype=np.intp), lambda shares: np.zeros((len(shares), 0)))
-
-
-# ---- free body names --------------------------------------------------------------------------
-# What coordinates and velocities of a free body are called in tasks and tables.
-
-
-_WORDS = (
-    ("position", "xyz"),
-    ("orientation", "xyzw"),
-    ("linear_velocity", "xyz"),
-    ("angular_velocity", "xyz"),
-)
+    kind: str
+    weight: float = 1.0
+    options: Mapping[str, Any] = NOTHING
+    name: str = ""
 
 
 def body_names(body: str) -> list[str]:

@@ -1,4 +1,9 @@
-"""What goes by a name in a task: expressions of the symbols of a phase."""
+"""What goes by a name in a task: expressions of the symbols of a phase.
+
+Unknowns of a phase have names, and so has what sensors measure, parts show and joints pass on.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
@@ -19,164 +24,13 @@ from mbd_ros.core.muscles.metabolic_rate import Metabolism
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.inverse_dynamics.reactions import joined_links
-from mbd_ros.optimal_control.defects import PhaseEquations
+from mbd_ros.optimal_control.phase_equations import PhaseEquations
 from mbd_ros.optimal_control.problem import body_names
 
-# What sensors measure, parts show and joints pass on, as expressions of a phase.
-
-_LOAD = {
-    f"{kind}_{axis}": unit for kind, unit in (("force", "N"), ("moment", "N·m")) for axis in "xyz"
-}
-
-
-class PartQuantities:
-    """Numbers of sensors and parts by name, as tables call them; made when they are asked for.
-
-    Args:
-        equations: Of the phase.
-        sensors: Of the scene.
-    """
-
-    def __init__(self, equations: Equations, sensors: Sequence[Sensor] = ()) -> None:
-        self._e, self._shown = equations, dict[str, list[Any]]()
-        self._sensors = {
-            ".".join(filter(None, (one.name, component))): (one, i)
-            for one in sensors
-            for i, component in enumerate(one.components)
-        }
-        self._outputs = {
-            output.name: (part, i)
-            for part in self._rows
-            for i, output in enumerate(numbers_of(part))
-        }
-        self._loads = {
-            f"{joined.link}.load.{component}": (joined, i)
-            for joined in joined_links(equations.system.robot)
-            for i, component in enumerate(_LOAD)
-        }
-        self._reactions = SymbolicReactions(equations)
-
-    @cached_property
-    def names(self) -> dict[str, None]:
-        """All names: of sensors, of parts, then of loads of joints."""
-        return dict.fromkeys((*self._sensors, *self._outputs, *self._loads))
-
-    def matching(self, pattern: str) -> list[str]:
-        """Names of a pattern."""
-        return [one for one in self.names if fnmatchcase(one, pattern)]
-
-    def unit(self, name: str) -> str:
-        """Unit of the number of a name."""
-        if name in self._sensors:
-            return self._sensors[name][0].unit
-        if name in self._loads:
-            return _LOAD[name.rpartition(".")[2]]
-        part, i = self._outputs[name]
-        return [*numbers_of(part)][i].unit
-
-    def markers(self) -> Iterator[tuple[str, float]]:
-        """Coordinates of markers, and the weights of these."""
-        for name, (sensor, _) in self._sensors.items():
-            if hasattr(sensor, "weight") and sensor.weight > 0.0:
-                yield name, float(sensor.weight)
-
-    def metabolic_rates(self, numbers: Metabolism) -> dict[str, Any]:
-        """Muscle -> expression of its metabolic rate [W].
-
-        Args:
-            numbers: Of the fibres.
-        """
-        e, found = self._e, dict[str, Any]()
-        for part in e.system.loads.actuators:
-            if hasattr(part, "metabolic_rate"):
-                with tracing(part):
-                    found[part.name] = e.own(part).metabolic_rate(e.k, e.x, e.u, numbers)
-        return found
-
-    @property
-    def mass(self) -> float:
-        """Of all links [kg]."""
-        return float(sum(one.mass for one in self._e.system.model.inertias))
-
-    def value(self, name: str) -> Any:
-        """The number of a name, an expression or a float.
-
-        Raises:
-            Untraceable: Names a part that has no symbolic form.
-        """
-        if name in self._loads:
-            joined, i = self._loads[name]
-            return self._reactions.load(joined)[i]
-        if name in self._sensors:
-            sensor, i = self._sensors[name]
-            return self._measured(sensor)[i]
-        part, i = self._outputs[name]
-        return self._values(part)[i]
-
-    def _measured(self, sensor: Sensor) -> list[Any]:
-        if sensor.name not in self._shown:
-            now = None
-            if sensor.level >= Measures.ACCELERATION:
-                now = self._now(np.zeros(0))
-            if sensor.level is Measures.FORCE:
-                now = now._replace(reactions=self._reactions.felt)
-            with tracing(sensor):
-                values = sensor.measure(self._e.k, self._e.x, now)
-            self._shown[sensor.name] = _flat(values)
-        return self._shown[sensor.name]
-
-    def _values(self, part: Part) -> list[Any]:
-        """What a part shows, its numbers one after the other."""
-        if part.name not in self._shown:
-            e, own = self._e, self._e.own(part)
-            with tracing(part):
-                shown = own.show(e.k, e.x, e.u, self._now(self._rows[part]))
-            pairs = zip(part.outputs, shown, strict=True)
-            found = [one for out, value in pairs if not out.is_drawn for one in _flat(value)]
-            self._shown[part.name] = found
-        return self._shown[part.name]
-
-    @cached_property
-    def _rows(self) -> dict[Part, Any]:
-        """Parts that show something, and the multipliers of their rows."""
-        e, lam = self._e, numbers(self._e.symbols["l"])
-        every, first = dict[Part, Any](), 0
-        for block in e.system.held.constraints.blocks:
-            every[block.part] = lam[first : first + len(block.rows)]
-            first += len(block.rows)
-        none = np.zeros(0)
-        every.update((part, none) for part in (*e.system.loads.actuators, *e.system.loads.forces))
-        return {part: own for part, own in every.items() if part.outputs}
-
-    def _now(self, lam: Any) -> Now:
-        e = self._e
-        lifted = e.coordinates.lifted(scalars(e.symbols["a"]))
-        whole = np.empty(len(lifted), dtype=object)
-        whole[:] = [number(ca.SX(one)) for one in lifted]
-        return Now(whole, lam)
-
-
-def _flat(values: Any) -> list[Any]:
-    return list(np.asarray(values, dtype=object).reshape(-1))
-
-
 _AXES = "xyz"
-
-
-class Quantity(NamedTuple):
-    """A number of a motion.
-
-    Attributes:
-        name: As tasks call it.
-        value: Its expression.
-        letter: That of the unknown that it is; empty for other expressions.
-        index: Its place in that.
-    """
-
-    name: str
-    value: Any
-    letter: str = ""
-    index: int = -1
+_LOAD = {
+    f"{kind}_{axis}": unit for kind, unit in (("force", "N"), ("moment", "N·m")) for axis in _AXES
+}
 
 
 class Quantities:
@@ -323,6 +177,184 @@ class Quantities:
         return Quantity(name, ca.SX(plain(value)))
 
 
+class PartQuantities:
+    """Numbers of sensors and parts by name, as tables call them; made when they are asked for.
+
+    Args:
+        equations: Of the phase.
+        sensors: Of the scene.
+    """
+
+    def __init__(self, equations: Equations, sensors: Sequence[Sensor] = ()) -> None:
+        self._e, self._shown = equations, dict[str, list[Any]]()
+        self._sensors = {
+            ".".join(filter(None, (one.name, component))): (one, i)
+            for one in sensors
+            for i, component in enumerate(one.components)
+        }
+        self._outputs = {
+            output.name: (part, i)
+            for part in self._rows
+            for i, output in enumerate(numbers_of(part))
+        }
+        self._loads = {
+            f"{joined.link}.load.{component}": (joined, i)
+            for joined in joined_links(equations.system.robot)
+            for i, component in enumerate(_LOAD)
+        }
+        self._reactions = SymbolicReactions(equations)
+
+    @cached_property
+    def names(self) -> dict[str, None]:
+        """All names: of sensors, of parts, then of loads of joints."""
+        return dict.fromkeys((*self._sensors, *self._outputs, *self._loads))
+
+    def matching(self, pattern: str) -> list[str]:
+        """Names of a pattern."""
+        return [one for one in self.names if fnmatchcase(one, pattern)]
+
+    def unit(self, name: str) -> str:
+        """Unit of the number of a name."""
+        if name in self._sensors:
+            return self._sensors[name][0].unit
+        if name in self._loads:
+            return _LOAD[name.rpartition(".")[2]]
+        part, i = self._outputs[name]
+        return [*numbers_of(part)][i].unit
+
+    def markers(self) -> Iterator[tuple[str, float]]:
+        """Coordinates of markers, and the weights of these."""
+        for name, (sensor, _) in self._sensors.items():
+            if hasattr(sensor, "weight") and sensor.weight > 0.0:
+                yield name, float(sensor.weight)
+
+    def metabolic_rates(self, numbers: Metabolism) -> dict[str, Any]:
+        """Muscle -> expression of its metabolic rate [W].
+
+        Args:
+            numbers: Of the fibres.
+        """
+        e, found = self._e, dict[str, Any]()
+        for part in e.system.loads.actuators:
+            if hasattr(part, "metabolic_rate"):
+                with tracing(part):
+                    found[part.name] = e.own(part).metabolic_rate(e.k, e.x, e.u, numbers)
+        return found
+
+    @property
+    def mass(self) -> float:
+        """Of all links [kg]."""
+        return float(sum(one.mass for one in self._e.system.model.inertias))
+
+    def value(self, name: str) -> Any:
+        """The number of a name, an expression or a float.
+
+        Raises:
+            Untraceable: Names a part that has no symbolic form.
+        """
+        if name in self._loads:
+            joined, i = self._loads[name]
+            return self._reactions.load(joined)[i]
+        if name in self._sensors:
+            sensor, i = self._sensors[name]
+            return self._measured(sensor)[i]
+        part, i = self._outputs[name]
+        return self._values(part)[i]
+
+    def _measured(self, sensor: Sensor) -> list[Any]:
+        if sensor.name not in self._shown:
+            now = None
+            if sensor.level >= Measures.ACCELERATION:
+                now = self._now(np.zeros(0))
+            if sensor.level is Measures.FORCE:
+                now = now._replace(reactions=self._reactions.felt)
+            with tracing(sensor):
+                values = sensor.measure(self._e.k, self._e.x, now)
+            self._shown[sensor.name] = _flat(values)
+        return self._shown[sensor.name]
+
+    def _values(self, part: Part) -> list[Any]:
+        """What a part shows, its numbers one after the other."""
+        if part.name not in self._shown:
+            e, own = self._e, self._e.own(part)
+            with tracing(part):
+                shown = own.show(e.k, e.x, e.u, self._now(self._rows[part]))
+            pairs = zip(part.outputs, shown, strict=True)
+            found = [one for out, value in pairs if not out.is_drawn for one in _flat(value)]
+            self._shown[part.name] = found
+        return self._shown[part.name]
+
+    @cached_property
+    def _rows(self) -> dict[Part, Any]:
+        """Parts that show something, and the multipliers of their rows."""
+        e, lam = self._e, numbers(self._e.symbols["l"])
+        every, first = dict[Part, Any](), 0
+        for block in e.system.held.constraints.blocks:
+            every[block.part] = lam[first : first + len(block.rows)]
+            first += len(block.rows)
+        none = np.zeros(0)
+        every.update((part, none) for part in (*e.system.loads.actuators, *e.system.loads.forces))
+        return {part: own for part, own in every.items() if part.outputs}
+
+    def _now(self, lam: Any) -> Now:
+        e = self._e
+        lifted = e.coordinates.lifted(scalars(e.symbols["a"]))
+        whole = np.empty(len(lifted), dtype=object)
+        whole[:] = [number(ca.SX(one)) for one in lifted]
+        return Now(whole, lam)
+
+
+def _flat(values: Any) -> list[Any]:
+    return list(np.asarray(values, dtype=object).reshape(-1))
+
+
+def _places(symbols: Any) -> dict[int, int]:
+    return {one.element_hash(): i for i, one in enumerate(ca.vertsplit(symbols))}
+
+
+def _quantity(name: str, value: Any, letter: str, places: dict[int, int]) -> Quantity:
+    at = places.get(value.element_hash(), -1) if value.is_symbolic() else -1
+    return Quantity(name, value, letter if at >= 0 else "", at)
+
+
+def input_labels(system: Any) -> list[str]:
+    """Names of u: `<joint>.effort` where that is the command, `<name>.command`, or their own."""
+    loads, found = system.loads, [""] * len(system.loads.idle)
+    for part, names in zip(loads.actuators, command_names(loads.actuators), strict=True):
+        for i, name in enumerate(names):
+            is_effort = not part.takes and name in part.joints
+            kind = ".effort" if is_effort else ".command"
+            found[part.u.start + i] = f"{name}{kind}" if part.joints else name
+    for part in loads.forces:
+        if part.inputs:
+            found[part.u] = input_names(part)
+    return found
+
+
+def multiplier_names(e: Any) -> list[str]:
+    """Names of the rows that act."""
+    rigid = e.system.held.constraints.blocks
+    found = [row.name for block in rigid for row in block.rows]
+    every = [row.name for row in e.system.multiplier_rows]
+    return found + [every[slot] for slot in e.unilateral.slots[: len(e.acting.J) - len(found)]]
+
+
+class Quantity(NamedTuple):
+    """A number of a motion.
+
+    Attributes:
+        name: As tasks call it.
+        value: Its expression.
+        letter: That of the unknown that it is; empty for other expressions.
+        index: Its place in that.
+    """
+
+    name: str
+    value: Any
+    letter: str = ""
+    index: int = -1
+
+
 def stops(phase: PhaseEquations) -> list[Quantity]:
     """Gaps of stops, ropes and contacts that give way, which a motion keeps open.
 
@@ -341,20 +373,6 @@ def stops(phase: PhaseEquations) -> list[Quantity]:
     return [Quantity(f"gap of {rows[slot].name}", ca.SX(gap)) for slot, gap in gaps.items()]
 
 
-def input_labels(system: Any) -> list[str]:
-    """Names of u: `<joint>.effort` where that is the command, `<name>.command`, or their own."""
-    loads, found = system.loads, [""] * len(system.loads.idle)
-    for part, names in zip(loads.actuators, command_names(loads.actuators), strict=True):
-        for i, name in enumerate(names):
-            is_effort = not part.takes and name in part.joints
-            kind = ".effort" if is_effort else ".command"
-            found[part.u.start + i] = f"{name}{kind}" if part.joints else name
-    for part in loads.forces:
-        if part.inputs:
-            found[part.u] = input_names(part)
-    return found
-
-
 def input_bounds(system: Any) -> tuple[Array, Array]:
     """Bounds within which inputs have an effect, shape (nu,) each."""
     lower, upper = np.full((2, len(system.loads.idle)), np.inf) * [[-1.0], [1.0]]
@@ -363,20 +381,3 @@ def input_bounds(system: Any) -> tuple[Array, Array]:
             lower[part.u] = [one.lower for one in part.inputs]
             upper[part.u] = [one.upper for one in part.inputs]
     return lower, upper
-
-
-def multiplier_names(e: Any) -> list[str]:
-    """Names of the rows that act."""
-    rigid = e.system.held.constraints.blocks
-    found = [row.name for block in rigid for row in block.rows]
-    every = [row.name for row in e.system.multiplier_rows]
-    return found + [every[slot] for slot in e.unilateral.slots[: len(e.acting.J) - len(found)]]
-
-
-def _places(symbols: Any) -> dict[int, int]:
-    return {one.element_hash(): i for i, one in enumerate(ca.vertsplit(symbols))}
-
-
-def _quantity(name: str, value: Any, letter: str, places: dict[int, int]) -> Quantity:
-    at = places.get(value.element_hash(), -1) if value.is_symbolic() else -1
-    return Quantity(name, value, letter if at >= 0 else "", at)

@@ -10,7 +10,7 @@ from mbd_ros.errors import ModelError
 from mbd_ros.features.prediction.modes import PhaseMode
 from mbd_ros.features.prediction.recording import Recording, recorded_lines
 from mbd_ros.features.prediction.task import PredictTask
-from mbd_ros.optimal_control.unknowns import BODY, PhaseMotion, steps_of
+from mbd_ros.optimal_control.phase_motion import BODY, PhaseMotion, steps_of
 
 if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_phase import MotionPhase

@@ -134,8 +134,8 @@ def _linkage(
     travel: Sequence[int],
     task: PredictTask,
 ) -> Any:
-    from mbd_ros.optimal_control.defects import PhaseEquations, independent
     from mbd_ros.optimal_control.linkages import ResetLinkage
+    from mbd_ros.optimal_control.phase_equations import PhaseEquations, independent
     from mbd_ros.scene.runs.compiling import traced
 
     one, other = (modes[i] for i in numbers)

@@ -23,8 +23,8 @@ from mbd_ros.features.prediction.recording import Recording, References, given_i
 from mbd_ros.features.prediction.task import PhaseTask, PredictTask
 from mbd_ros.methods.projection.coupled_joints import independent_limits
 from mbd_ros.optimal_control.mesh import uniform_mesh
+from mbd_ros.optimal_control.phase_motion import PhaseMotion
 from mbd_ros.optimal_control.problem import PhaseProblem, Range, body_names
-from mbd_ros.optimal_control.unknowns import PhaseMotion
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.scene_summary import coordinate_names, velocity_names
 
@@ -275,9 +275,9 @@ def _phases(
     first: State,
     recording: Recording | None,
 ) -> "list[MotionPhase]":
-    from mbd_ros.optimal_control.defects import PhaseEquations, independent
     from mbd_ros.optimal_control.limits import held_limits
     from mbd_ros.optimal_control.motion_phase import MotionPhase
+    from mbd_ros.optimal_control.phase_equations import PhaseEquations, independent
     from mbd_ros.scene.runs.compiling import traced
 
     scene, names, found = given.scene, list(task.parameters), list[MotionPhase]()

@@ -226,7 +226,7 @@ def _splines(scene: Scene, motion: Motion) -> Callable[[Array], tuple[Array, Arr
 
 def _twists(base: Any, configuration: Callable[[Array], Array], at: Array) -> tuple[Array, Array]:
     """Twist of a free body and its rate, in its own axes, shape (6, n) each."""
-    from mbd_ros.optimal_control.unknowns import BODY
+    from mbd_ros.optimal_control.phase_motion import BODY
 
     def pose(shift: float) -> Array:
         found: Array = configuration(at + shift)[base.q].T

@@ -11,7 +11,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError
 from mbd_ros.features.prediction.modes import PhaseMode, simulation_of_phase
 from mbd_ros.methods.simulation.simulation import Simulation
-from mbd_ros.optimal_control.unknowns import PhaseMotion
+from mbd_ros.optimal_control.phase_motion import PhaseMotion
 from mbd_ros.scene.built_scene import Scene
 
 _SHARE = 1.0e-3  # of the error between nodes: what integration may add to it

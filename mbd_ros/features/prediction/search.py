@@ -16,7 +16,7 @@ from mbd_ros.features.prediction.task import PredictTask, predict_task
 from mbd_ros.jobs.progress import Say
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
 from mbd_ros.jobs.workers.task import Task
-from mbd_ros.optimal_control.unknowns import PhaseMotion
+from mbd_ros.optimal_control.phase_motion import PhaseMotion
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.task_reader import read_task

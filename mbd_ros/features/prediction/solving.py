@@ -17,10 +17,15 @@ from mbd_ros.features.prediction.problem import Problem
 from mbd_ros.features.prediction.replay import simulation_of
 from mbd_ros.features.prediction.task import PredictTask
 from mbd_ros.jobs.progress import PERIOD, Say, announce
-from mbd_ros.optimal_control.error_estimate import beyond_bounds, errors_of, looked_at
 from mbd_ros.optimal_control.mesh import Mesh, bracketed, changes, is_settled, refined, with_knots
+from mbd_ros.optimal_control.phase_motion import (
+    PhaseMotion,
+    beyond_bounds,
+    errors_of,
+    looked_at,
+    steps_of,
+)
 from mbd_ros.optimal_control.problem import body_names
-from mbd_ros.optimal_control.unknowns import PhaseMotion, steps_of
 
 if TYPE_CHECKING:
     from mbd_ros.optimal_control.ipopt import Progress, Tell
@@ -494,7 +499,7 @@ def error_of(phase: Any, motion: PhaseMotion, p: Array) -> Array:
         spans = motion.duration * motion.mesh.widths[interval]
         return found["a"], phase.equations.calmed(values, found["w"], times, spans, p)
 
-    return errors_of(motion, rates).relative
+    return errors_of(motion, rates)
 
 
 def moved(motion: PhaseMotion, mesh: Mesh) -> PhaseMotion:

@@ -13,7 +13,7 @@ from mbd_ros.files.table import TIME, Column, Table
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.motion.columns import joint_columns
 from mbd_ros.motion.state_table import table_of
-from mbd_ros.optimal_control.unknowns import PhaseMotion
+from mbd_ros.optimal_control.phase_motion import PhaseMotion
 
 if TYPE_CHECKING:
     from mbd_ros.features.prediction.search import Start, Step

@@ -12,7 +12,7 @@ from mbd_ros.errors import MbdError
 from mbd_ros.features.prediction.modes import modes_of
 from mbd_ros.features.prediction.task import predict_task
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions
-from mbd_ros.optimal_control.defects import LETTERS, PhaseEquations
+from mbd_ros.optimal_control.phase_equations import LETTERS, PhaseEquations
 from mbd_ros.optimal_control.quantities import Quantities
 from mbd_ros.scene.runs.compiling import traced
 
