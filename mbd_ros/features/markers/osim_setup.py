@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 
 from mbd_ros.errors import SceneError
 from mbd_ros.features.markers.kinematics_task import CoordinateTask, KinematicsTask
-from mbd_ros.scene.models.imported import parse_document, read_text
+from mbd_ros.scene.models.imported_model import parse_document, read_text
 
 _TRUE, _VALUE_TYPES = "true", ("default_value", "manual_value", "from_file")
 _NO_FILE = ("", "Unassigned")

@@ -7,7 +7,7 @@ from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, CoordinateReserve, reserve_on
-from mbd_ros.scene.models.imported import parse_document, read_text
+from mbd_ros.scene.models.imported_model import parse_document, read_text
 from mbd_ros.scene.models.osim.item import Item
 
 Reserve = CoordinateReserve | BodyReserve

@@ -1,5 +1,7 @@
 """Models that bring sections of a scene: `robot: {osim: FILE}`, `robot: {mjcf: FILE}`."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -11,65 +13,11 @@ from mbd_ros.scene.schema.sections import SECTIONS, keys
 from mbd_ros.scene.schema.strict_yaml import read_mapping
 
 if TYPE_CHECKING:
-    from mbd_ros.scene.models.imported import Imported
+    from mbd_ros.scene.models.imported_model import Imported
 
 _ENDINGS = {"osim": (".osim", ".osim.gz"), "mjcf": (".xml", ".mjcf")}
 FORMATS = tuple(_ENDINGS)
 Entries = Mapping[str, Any]
-
-
-class Model(NamedTuple):
-    """A model that was read, and what it brought.
-
-    Attributes:
-        source: The file.
-        urdf: Its bodies and joints.
-        brought: Sections by key, as they were merged.
-        left_out: What the scene does not have of it, a line each.
-    """
-
-    source: str
-    urdf: str
-    brought: Entries
-    left_out: tuple[str, ...]
-
-
-def entries_of(path: Path) -> dict[str, Any]:
-    """The entries of a scene file, or those of a scene that is a model alone.
-
-    Raises:
-        SceneError: Names file, line and key.
-    """
-    found = format_of(path)
-    return {"robot": {found: path.name}} if found else read_mapping(path)
-
-
-def format_of(path: Path) -> str:
-    """The format that the name of a file says, empty for other files."""
-    name = path.name.lower()
-    return next((key for key, ends in _ENDINGS.items() if name.endswith(ends)), "")
-
-
-def import_model(path: Path, form: str, locked: Mapping[str, float | None]) -> "Imported":
-    """Read a model.
-
-    Args:
-        path: The file.
-        form: One of `FORMATS`.
-        locked: Joint -> position [rad or m] where it is locked, None where the file locks it and
-            it is to move.
-
-    Raises:
-        SceneError: Names file, element and what is wrong.
-    """
-    if form == "mjcf":
-        from mbd_ros.scene.models.mjcf.imported import import_mjcf
-
-        return import_mjcf(path, locked)
-    from mbd_ros.scene.models.imported import read_text
-    from mbd_ros.scene.models.osim.imported import import_osim
-
-    return import_osim(read_text(path), str(path), locked)
 
 
 def with_model(origin: Origin, entries: Entries) -> tuple[Origin, Entries]:
@@ -106,11 +54,56 @@ def _named(robot: Any) -> str:
     return next((key for key in FORMATS if given.get(key) is not None), "")
 
 
-def _imported(origin: Origin, robot: Entries, where: str, form: str) -> "tuple[str, Imported]":
+def _without(entries: Entries, brought: Entries) -> dict[str, Any]:
+    """Entries without those that a model brought before."""
+    own = dict(entries)
+    for key, before in brought.items():
+        given = own.get(key)
+        if key == "robot" or given is None:
+            continue
+        if isinstance(before, dict):
+            kept = {k: v for k, v in given.items() if k not in before or before[k] != v}
+        else:
+            kept = [one for one in given if one not in before]
+        own[key] = kept or None
+    return {key: given for key, given in own.items() if given is not None}
+
+
+def _imported(origin: Origin, robot: Entries, where: str, form: str) -> tuple[str, Imported]:
     name = schema.value(robot[form], str, f"{where}.{form}")
     file = find_file(origin.folder, name, f"{where}.{form}")
     locked = schema.value(robot.get("locked") or {}, Mapping[str, float | None], f"{where}.locked")
     return str(file), import_model(file, form, locked)
+
+
+def import_model(path: Path, form: str, locked: Mapping[str, float | None]) -> Imported:
+    """Read a model.
+
+    Args:
+        path: The file.
+        form: One of `FORMATS`.
+        locked: Joint -> position [rad or m] where it is locked, None where the file locks it and
+            it is to move.
+
+    Raises:
+        SceneError: Names file, element and what is wrong.
+    """
+    if form == "mjcf":
+        from mbd_ros.scene.models.mjcf.model import import_mjcf
+
+        return import_mjcf(path, locked)
+    from mbd_ros.scene.models.imported_model import read_text
+    from mbd_ros.scene.models.osim.model import import_osim
+
+    return import_osim(read_text(path), str(path), locked)
+
+
+def brought_sections(imported: Imported) -> tuple[dict[str, Any], list[str]]:
+    """Sections of a model that a scene has, and what is left out of them."""
+    known = set(keys(SECTIONS))
+    brought = {key: given for key, given in imported.sections.items() if key in known}
+    absent = [f"section {key}" for key in imported.sections if key not in known]
+    return brought, absent
 
 
 def _merged_robot(brought: Entries, given: Entries, has_gravity: bool) -> dict[str, Any]:
@@ -140,30 +133,7 @@ def _merged(brought: Any, own: Any, where: str) -> Any:
     return [*(entry for entry in brought if entry.get("name") not in names), *own]
 
 
-def _without(entries: Entries, brought: Entries) -> dict[str, Any]:
-    """Entries without those that a model brought before."""
-    own = dict(entries)
-    for key, before in brought.items():
-        given = own.get(key)
-        if key == "robot" or given is None:
-            continue
-        if isinstance(before, dict):
-            kept = {k: v for k, v in given.items() if k not in before or before[k] != v}
-        else:
-            kept = [one for one in given if one not in before]
-        own[key] = kept or None
-    return {key: given for key, given in own.items() if given is not None}
-
-
-def brought_sections(imported: "Imported") -> tuple[dict[str, Any], list[str]]:
-    """Sections of a model that a scene has, and what is left out of them."""
-    known = set(keys(SECTIONS))
-    brought = {key: given for key, given in imported.sections.items() if key in known}
-    absent = [f"section {key}" for key in imported.sections if key not in known]
-    return brought, absent
-
-
-def _grouped(imported: "Imported") -> list[str]:
+def _grouped(imported: Imported) -> list[str]:
     """Left-outs of a kind in one line."""
     groups: dict[tuple[str, str], list[str]] = {}
     for one in imported.left_out:
@@ -172,3 +142,35 @@ def _grouped(imported: "Imported") -> list[str]:
         f"{kind} {', '.join(name or '-' for name in names)} ({reason})"
         for (kind, reason), names in groups.items()
     ]
+
+
+class Model(NamedTuple):
+    """A model that was read, and what it brought.
+
+    Attributes:
+        source: The file.
+        urdf: Its bodies and joints.
+        brought: Sections by key, as they were merged.
+        left_out: What the scene does not have of it, a line each.
+    """
+
+    source: str
+    urdf: str
+    brought: Entries
+    left_out: tuple[str, ...]
+
+
+def entries_of(path: Path) -> dict[str, Any]:
+    """The entries of a scene file, or those of a scene that is a model alone.
+
+    Raises:
+        SceneError: Names file, line and key.
+    """
+    found = format_of(path)
+    return {"robot": {found: path.name}} if found else read_mapping(path)
+
+
+def format_of(path: Path) -> str:
+    """The format that the name of a file says, empty for other files."""
+    name = path.name.lower()
+    return next((key for key, ends in _ENDINGS.items() if name.endswith(ends)), "")

@@ -1,4 +1,9 @@
-"""Elements of an MJCF model: attributes, default classes, places."""
+"""Elements of an MJCF model: attributes with those of their default classes, checked, and places.
+
+`compiler_of` reads the settings that say what angles and orientations mean.
+"""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -12,8 +17,16 @@ from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 
-# ---- item -------------------------------------------------------------------------------------
-# An element of an MJCF model: its attributes with those of its default class, checked.
+ACTUATORS = (
+    *("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder"),
+    *("muscle", "adhesion", "dcmotor", "plugin"),
+)
+_MAIN = "main"
+_KINDS = {**dict.fromkeys(ACTUATORS, "general"), "fixed": "tendon", "spatial": "tendon"}
+Attributes = Mapping[str, Mapping[str, str]]
+_AXES = np.eye(3)
+_TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
+_NO_LENGTH = 1.0e-14
 
 
 class Item:
@@ -49,7 +62,7 @@ class Item:
     def __contains__(self, key: str) -> bool:
         return key in self._given
 
-    def only(self, accepted: Collection[str]) -> "Item":
+    def only(self, accepted: Collection[str]) -> Item:
         """This element, whose own attributes are all known.
 
         Raises:
@@ -133,19 +146,6 @@ class Item:
         return number
 
 
-# ---- defaults ---------------------------------------------------------------------------------
-# Default classes of a model: attributes that elements have by their class.
-
-
-ACTUATORS = (
-    *("general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder"),
-    *("muscle", "adhesion", "dcmotor", "plugin"),
-)
-_MAIN = "main"
-_KINDS = {**dict.fromkeys(ACTUATORS, "general"), "fixed": "tendon", "spatial": "tendon"}
-Attributes = Mapping[str, Mapping[str, str]]
-
-
 class Defaults:
     """The default classes.
 
@@ -207,41 +207,6 @@ def _settings(element: Element) -> Iterator[tuple[str, Mapping[str, str]]]:
             yield _KINDS.get(child.tag, child.tag), child.attrib
 
 
-# ---- placement --------------------------------------------------------------------------------
-# Settings of the compiler, and places of elements.
-
-
-_AXES = np.eye(3)
-_TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
-_NO_LENGTH = 1.0e-14
-
-
-class Compiler(NamedTuple):
-    """Element `<compiler>`.
-
-    Attributes:
-        degree: Radians of a unit of angles.
-        sequence: Axes of `euler`: small letters turn about the moved axes, capitals about fixed.
-        autolimits: Whether what has a range is limited.
-        from_geoms: `auto`, `true` or `false`: whether inertia comes from geoms.
-        groups: First and last group of geoms that have inertia.
-        least_mass: Of a body [kg].
-        least_inertia: Of a body, in its principal axes [kg·m^2].
-        balances: Whether moments of inertia that no body has become equal.
-        total: Mass of the model [kg], negative where it is the sum.
-    """
-
-    degree: float
-    sequence: str
-    autolimits: bool
-    from_geoms: str
-    groups: tuple[float, float]
-    least_mass: float
-    least_inertia: float
-    balances: bool
-    total: float
-
-
 def compiler_of(root: Element, source: str) -> Compiler:
     """The settings; later elements replace earlier ones.
 
@@ -271,6 +236,32 @@ def compiler_of(root: Element, source: str) -> Compiler:
     )
 
 
+class Compiler(NamedTuple):
+    """Element `<compiler>`.
+
+    Attributes:
+        degree: Radians of a unit of angles.
+        sequence: Axes of `euler`: small letters turn about the moved axes, capitals about fixed.
+        autolimits: Whether what has a range is limited.
+        from_geoms: `auto`, `true` or `false`: whether inertia comes from geoms.
+        groups: First and last group of geoms that have inertia.
+        least_mass: Of a body [kg].
+        least_inertia: Of a body, in its principal axes [kg·m^2].
+        balances: Whether moments of inertia that no body has become equal.
+        total: Mass of the model [kg], negative where it is the sum.
+    """
+
+    degree: float
+    sequence: str
+    autolimits: bool
+    from_geoms: str
+    groups: tuple[float, float]
+    least_mass: float
+    least_inertia: float
+    balances: bool
+    total: float
+
+
 def placed(item: Item, compiler: Compiler) -> Any:
     """`pinocchio.SE3` of an element in what holds it.
 
@@ -279,28 +270,6 @@ def placed(item: Item, compiler: Compiler) -> Any:
     """
     at = np.array(item.vector("pos", (0.0, 0.0, 0.0)))
     return pin.SE3(_rotation(item, compiler), at)
-
-
-def unit(item: Item, vector: Array, key: str) -> Array:
-    """A vector at length 1.
-
-    Raises:
-        SceneError: It has no length.
-    """
-    length = float(np.linalg.norm(vector))
-    if length < _NO_LENGTH:
-        raise item.error(f"{key} has no length")
-    direction: Array = vector / length
-    return direction
-
-
-def turned_to(direction: Array) -> Array:
-    """The smallest rotation that takes z to a direction of length 1, shape (3, 3)."""
-    axis = np.cross(_AXES[2], direction)
-    sine = float(np.linalg.norm(axis))
-    axis = _AXES[0] if sine < 1.0e-10 else axis / sine
-    turn: Array = pin.AngleAxis(float(np.arctan2(sine, direction[2])), axis).toRotationMatrix()
-    return turn
 
 
 def _rotation(item: Item, compiler: Compiler) -> Array:
@@ -332,3 +301,25 @@ def _rotation(item: Item, compiler: Compiler) -> Array:
             turn = pin.AngleAxis(angle * compiler.degree, axis).toRotationMatrix()
             found = found @ turn if letter.islower() else turn @ found
     return found
+
+
+def unit(item: Item, vector: Array, key: str) -> Array:
+    """A vector at length 1.
+
+    Raises:
+        SceneError: It has no length.
+    """
+    length = float(np.linalg.norm(vector))
+    if length < _NO_LENGTH:
+        raise item.error(f"{key} has no length")
+    direction: Array = vector / length
+    return direction
+
+
+def turned_to(direction: Array) -> Array:
+    """The smallest rotation that takes z to a direction of length 1, shape (3, 3)."""
+    axis = np.cross(_AXES[2], direction)
+    sine = float(np.linalg.norm(axis))
+    axis = _AXES[0] if sine < 1.0e-10 else axis / sine
+    turn: Array = pin.AngleAxis(float(np.arctan2(sine, direction[2])), axis).toRotationMatrix()
+    return turn

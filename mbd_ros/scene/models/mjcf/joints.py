@@ -1,4 +1,6 @@
-"""Joints of bodies -> joints of a description, and the forces in them."""
+"""Joints of bodies -> joints and links of a description, and the forces in them."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -10,11 +12,9 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.models.mjcf.bodies import WORLD, Bodies, Body, Placed
 from mbd_ros.scene.models.mjcf.item import Compiler, Item, unit
-from mbd_ros.scene.models.urdf_text import IDENTITY, Motion, Names, UrdfJoint, X, Y, Z
-
-# ---- joints -----------------------------------------------------------------------------------
-# Joints of bodies -> joints of a description, and the forces in them.
-
+from mbd_ros.scene.models.motions import IDENTITY, Motion, X, Y, Z
+from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.urdf_text import UrdfJoint, is_identity
 
 _TYPES = ("hinge", "slide", "ball", "free")
 _JOINT = (
@@ -25,175 +25,7 @@ _JOINT = (
 )
 _FREE = ("name", "class", "group", "align")
 _PASSIVE = ("stiffness", "damping", "frictionloss", "armature")
-
-
-class Hinge(NamedTuple):
-    """A coordinate: a joint of the description.
-
-    Attributes:
-        item: The element.
-        name: Its name in the scene.
-        motion: What it does.
-        before: `pinocchio.SE3` of the joint in the body, as the joints before it moved that.
-        after: From the joint back to the body.
-        limits: Smallest and largest position [rad or m], or None.
-        ref: Position at the reference pose [rad or m].
-        rest: Position without force of its spring [rad or m].
-    """
-
-    item: Item
-    name: str
-    motion: Motion
-    before: Any
-    after: Any
-    limits: tuple[float, float] | None = None
-    ref: float = 0.0
-    rest: float = 0.0
-
-
-def joint_type(item: Item) -> str:
-    """What a joint is; `<freejoint>` is free.
-
-    Raises:
-        SceneError: An unknown one, or unknown attributes.
-    """
-    if item.type == "freejoint":
-        item.only(_FREE)
-        return "free"
-    return item.only(_JOINT).choice("type", _TYPES)
-
-
-def hinges_of(body: Body, names: Sequence[str], compiler: Compiler) -> list[Hinge]:
-    """Coordinates of the joints of a body, in their order.
-
-    Args:
-        body: The body.
-        names: Of its joints.
-        compiler: The settings.
-
-    Raises:
-        SceneError: A free joint beside others or inside another body, or values that are wrong.
-    """
-    found = list[Hinge]()
-    for (item, frame), name in zip(body.joints, names, strict=True):
-        kind = joint_type(item)
-        if kind == "free" and (len(body.joints) > 1 or body.parent != "world"):
-            raise item.error("a free joint stands alone, in a body of the world")
-        if kind in ("free", "ball"):
-            found += _free(item, name, body.at) if kind == "free" else _ball(item, name, frame)
-        else:
-            found.append(_hinge(Placed(item, frame), name, kind == "hinge", compiler))
-    return found
-
-
-def passive(hinge: Hinge) -> list[dict[str, Any]]:
-    """Entries of `forces`: spring, damper and friction of a hinge or slide.
-
-    Raises:
-        SceneError: One of them is negative.
-    """
-    item, friction = hinge.item, dict[str, float]()
-    values = {key: item.vector(key, [0.0] * 3, 1)[0] for key in _PASSIVE[:3]}
-    for key, value in values.items():
-        if value < 0.0:
-            raise item.error(f"{key} is negative")
-    spring = values["stiffness"]
-    entries: list[dict[str, Any]] = []
-    if spring:
-        entry = {"stiffness": spring, "rest": hinge.rest, "damping": values["damping"]}
-        kept = {key: value for key, value in entry.items() if value}
-        entries.append({"type": "joint_spring", "joint": hinge.name, **kept})
-    else:
-        friction["viscous"] = values["damping"]
-    friction["coulomb"] = values["frictionloss"]
-    friction = {key: value for key, value in friction.items() if value}
-    if friction:
-        entries.append({"type": "joint_friction", "joint": hinge.name, **friction})
-    return entries
-
-
-def unexpressed(item: Item) -> str:
-    """What of a joint a scene does not have, empty for most."""
-    kind, found = joint_type(item), list[str]()
-    if kind in ("free", "ball"):
-        found = [key for key in _PASSIVE if item.type != "freejoint" and _is_there(item, key)]
-        found += ["range"] if kind == "ball" and "range" in item else []
-    else:
-        found = [
-            f"{key} beyond its first number"
-            for key in ("stiffness", "damping")
-            if any(item.vector(key, [0.0] * 3, 1)[1:])
-        ]
-        found += ["springdamper"] if _is_there(item, "springdamper") else []
-    return ", ".join(found)
-
-
-def _is_there(item: Item, key: str) -> bool:
-    return key in item and any(item.numbers(key, 1, 3))
-
-
-def _hinge(given: Placed, name: str, turns: bool, compiler: Compiler) -> Hinge:
-    item, frame = given
-    unit_of_angle = compiler.degree if turns else 1.0
-    axis = frame.rotation @ unit(item, np.array(item.vector("axis", (0.0, 0.0, 1.0))), "axis")
-    anchor = frame.act(np.array(item.vector("pos", (0.0, 0.0, 0.0)))) if turns else np.zeros(3)
-    ref = unit_of_angle * item.number("ref", 0.0)
-    motion = Motion(name, axis, turns, IDENTITY, name)
-    at = pin.SE3(np.eye(3), anchor)
-    limits = None
-    if item.is_limited("limited", "range", compiler.autolimits):
-        lower, upper = (unit_of_angle * end for end in item.vector("range", (0.0, 0.0)))
-        if not lower < upper:
-            raise item.error(f"range is '{item.text('range')}', its ends must increase")
-        limits = lower, upper
-    rest = unit_of_angle * item.number("springref", 0.0)
-    return Hinge(item, name, motion, at * motion.at(-ref), at.inverse(), limits, ref, rest)
-
-
-def _ball(item: Item, name: str, frame: Any) -> list[Hinge]:
-    """Three hinges about x, y and z of the body."""
-    at = pin.SE3(np.eye(3), frame.act(np.array(item.vector("pos", (0.0, 0.0, 0.0)))))
-    none = pin.SE3.Identity()
-    return [
-        Hinge(
-            item,
-            f"{name}_{letter}",
-            Motion(f"{name}_{letter}", axis, True, IDENTITY, f"{name}_{letter}"),
-            at if letter == "x" else none,
-            at.inverse() if letter == "z" else none,
-        )
-        for letter, axis in zip("xyz", (X, Y, Z), strict=True)
-    ]
-
-
-def _free(item: Item, name: str, at: Any) -> list[Hinge]:
-    """Three slides along the axes of the world, then three hinges about those of the body."""
-    none = pin.SE3.Identity()
-    start: Array = at.translation
-    slides = [
-        Hinge(
-            item,
-            f"{name}_t{letter}",
-            Motion("", axis, False, IDENTITY, f"{name}_t{letter}"),
-            at.inverse() if letter == "x" else none,
-            pin.SE3(at.rotation, np.zeros(3)) if letter == "z" else none,
-            ref=float(begin),
-        )
-        for letter, axis, begin in zip("xyz", (X, Y, Z), start, strict=True)
-    ]
-    turns = [
-        Hinge(item, f"{name}_r{letter}", Motion("", axis, True, IDENTITY, ""), none, none)
-        for letter, axis in zip("xyz", (X, Y, Z), strict=True)
-    ]
-    return [*slides, *turns]
-
-
-# ---- tree -------------------------------------------------------------------------------------
-# Bodies and joints -> links and joints of a description.
-
-
 UNIVERSE = "universe"
-_SAME = 1.0e-14  # of a placement that is none
 
 
 class Tree:
@@ -288,7 +120,7 @@ class Tree:
         parent, origin = body.parent, body.at
         for i, hinge in enumerate(hinges):
             origin = origin * hinge.before
-            is_last = i == len(hinges) - 1 and _is_none(hinge.after)
+            is_last = i == len(hinges) - 1 and is_identity(hinge.after)
             child = body.name if is_last else self._links.take(f"{hinge.name}_link")
             self.links.append(child)
             self.hinges[hinge.name] = hinge
@@ -301,6 +133,162 @@ class Tree:
             self.joints.append(UrdfJoint(weld, parent, body.name, origin))
 
 
-def _is_none(at: Any) -> bool:
-    moved = at.homogeneous - np.eye(4)
-    return bool(np.abs(moved).max() <= _SAME)
+def hinges_of(body: Body, names: Sequence[str], compiler: Compiler) -> list[Hinge]:
+    """Coordinates of the joints of a body, in their order.
+
+    Args:
+        body: The body.
+        names: Of its joints.
+        compiler: The settings.
+
+    Raises:
+        SceneError: A free joint beside others or inside another body, or values that are wrong.
+    """
+    found = list[Hinge]()
+    for (item, frame), name in zip(body.joints, names, strict=True):
+        kind = joint_type(item)
+        if kind == "free" and (len(body.joints) > 1 or body.parent != "world"):
+            raise item.error("a free joint stands alone, in a body of the world")
+        if kind in ("free", "ball"):
+            found += _free(item, name, body.at) if kind == "free" else _ball(item, name, frame)
+        else:
+            found.append(_hinge(Placed(item, frame), name, kind == "hinge", compiler))
+    return found
+
+
+class Hinge(NamedTuple):
+    """A coordinate: a joint of the description.
+
+    Attributes:
+        item: The element.
+        name: Its name in the scene.
+        motion: What it does.
+        before: `pinocchio.SE3` of the joint in the body, as the joints before it moved that.
+        after: From the joint back to the body.
+        limits: Smallest and largest position [rad or m], or None.
+        ref: Position at the reference pose [rad or m].
+        rest: Position without force of its spring [rad or m].
+    """
+
+    item: Item
+    name: str
+    motion: Motion
+    before: Any
+    after: Any
+    limits: tuple[float, float] | None = None
+    ref: float = 0.0
+    rest: float = 0.0
+
+
+def joint_type(item: Item) -> str:
+    """What a joint is; `<freejoint>` is free.
+
+    Raises:
+        SceneError: An unknown one, or unknown attributes.
+    """
+    if item.type == "freejoint":
+        item.only(_FREE)
+        return "free"
+    return item.only(_JOINT).choice("type", _TYPES)
+
+
+def _hinge(given: Placed, name: str, turns: bool, compiler: Compiler) -> Hinge:
+    item, frame = given
+    unit_of_angle = compiler.degree if turns else 1.0
+    axis = frame.rotation @ unit(item, np.array(item.vector("axis", (0.0, 0.0, 1.0))), "axis")
+    anchor = frame.act(np.array(item.vector("pos", (0.0, 0.0, 0.0)))) if turns else np.zeros(3)
+    ref = unit_of_angle * item.number("ref", 0.0)
+    motion = Motion(name, axis, turns, IDENTITY, name)
+    at = pin.SE3(np.eye(3), anchor)
+    limits = None
+    if item.is_limited("limited", "range", compiler.autolimits):
+        lower, upper = (unit_of_angle * end for end in item.vector("range", (0.0, 0.0)))
+        if not lower < upper:
+            raise item.error(f"range is '{item.text('range')}', its ends must increase")
+        limits = lower, upper
+    rest = unit_of_angle * item.number("springref", 0.0)
+    return Hinge(item, name, motion, at * motion.at(-ref), at.inverse(), limits, ref, rest)
+
+
+def _ball(item: Item, name: str, frame: Any) -> list[Hinge]:
+    """Three hinges about x, y and z of the body."""
+    at = pin.SE3(np.eye(3), frame.act(np.array(item.vector("pos", (0.0, 0.0, 0.0)))))
+    none = pin.SE3.Identity()
+    return [
+        Hinge(
+            item,
+            f"{name}_{letter}",
+            Motion(f"{name}_{letter}", axis, True, IDENTITY, f"{name}_{letter}"),
+            at if letter == "x" else none,
+            at.inverse() if letter == "z" else none,
+        )
+        for letter, axis in zip("xyz", (X, Y, Z), strict=True)
+    ]
+
+
+def _free(item: Item, name: str, at: Any) -> list[Hinge]:
+    """Three slides along the axes of the world, then three hinges about those of the body."""
+    none = pin.SE3.Identity()
+    start: Array = at.translation
+    slides = [
+        Hinge(
+            item,
+            f"{name}_t{letter}",
+            Motion("", axis, False, IDENTITY, f"{name}_t{letter}"),
+            at.inverse() if letter == "x" else none,
+            pin.SE3(at.rotation, np.zeros(3)) if letter == "z" else none,
+            ref=float(begin),
+        )
+        for letter, axis, begin in zip("xyz", (X, Y, Z), start, strict=True)
+    ]
+    turns = [
+        Hinge(item, f"{name}_r{letter}", Motion("", axis, True, IDENTITY, ""), none, none)
+        for letter, axis in zip("xyz", (X, Y, Z), strict=True)
+    ]
+    return [*slides, *turns]
+
+
+def passive(hinge: Hinge) -> list[dict[str, Any]]:
+    """Entries of `forces`: spring, damper and friction of a hinge or slide.
+
+    Raises:
+        SceneError: One of them is negative.
+    """
+    item, friction = hinge.item, dict[str, float]()
+    values = {key: item.vector(key, [0.0] * 3, 1)[0] for key in _PASSIVE[:3]}
+    for key, value in values.items():
+        if value < 0.0:
+            raise item.error(f"{key} is negative")
+    spring = values["stiffness"]
+    entries: list[dict[str, Any]] = []
+    if spring:
+        entry = {"stiffness": spring, "rest": hinge.rest, "damping": values["damping"]}
+        kept = {key: value for key, value in entry.items() if value}
+        entries.append({"type": "joint_spring", "joint": hinge.name, **kept})
+    else:
+        friction["viscous"] = values["damping"]
+    friction["coulomb"] = values["frictionloss"]
+    friction = {key: value for key, value in friction.items() if value}
+    if friction:
+        entries.append({"type": "joint_friction", "joint": hinge.name, **friction})
+    return entries
+
+
+def unexpressed(item: Item) -> str:
+    """What of a joint a scene does not have, empty for most."""
+    kind, found = joint_type(item), list[str]()
+    if kind in ("free", "ball"):
+        found = [key for key in _PASSIVE if item.type != "freejoint" and _is_there(item, key)]
+        found += ["range"] if kind == "ball" and "range" in item else []
+    else:
+        found = [
+            f"{key} beyond its first number"
+            for key in ("stiffness", "damping")
+            if any(item.vector(key, [0.0] * 3, 1)[1:])
+        ]
+        found += ["springdamper"] if _is_there(item, "springdamper") else []
+    return ", ".join(found)
+
+
+def _is_there(item: Item, key: str) -> bool:
+    return key in item and any(item.numbers(key, 1, 3))

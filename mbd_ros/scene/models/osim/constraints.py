@@ -1,5 +1,7 @@
 """Constraints between bodies -> the section `constraints`."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -7,13 +9,14 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array
-from mbd_ros.scene.models.imported import Unexpressed
-from mbd_ros.scene.models.osim.item import Attached, Item, old_placement
-from mbd_ros.scene.models.osim.joints import COUPLER, is_enforced
+from mbd_ros.scene.models.imported_model import Unexpressed
+from mbd_ros.scene.models.osim.couplings import COUPLER, is_enforced
+from mbd_ros.scene.models.osim.item import Attached, Item, frame_entries, old_placement
 from mbd_ros.scene.models.osim.reading import Reading
 from mbd_ros.scene.models.urdf_text import roll_pitch_yaw
 
 Entry = dict[str, Any]
+_BODIES = (("body_1", "body1"), ("body_2", "body2"))
 
 
 def read_constraints(reading: Reading) -> list[Entry]:
@@ -44,15 +47,6 @@ def _entry(reading: Reading, item: Item) -> Entry:
     return _READERS[item.type](reading, item)
 
 
-def _ends(reading: Reading, item: Item, *names: tuple[str, ...]) -> list[Attached]:
-    ends = [reading.attached(item, *sockets) for sockets in names]
-    reading.refuse_rigid(*ends)
-    return ends
-
-
-_BODIES = (("body_1", "body1"), ("body_2", "body2"))
-
-
 def _point(reading: Reading, item: Item) -> Entry:
     ends = _ends(reading, item, *_BODIES)
     return {"type": "loop_closure", "kind": "point", **_points(item, ends)}
@@ -65,14 +59,6 @@ def _distance(reading: Reading, item: Item) -> Entry:
         **_points(item, ends),
         "distance": item.number("constant_distance"),
     }
-
-
-def _points(item: Item, ends: list[Attached]) -> Entry:
-    entry: Entry = {}
-    for letter, end, i in zip("ab", ends, "12", strict=True):
-        entry[f"frame_{letter}"] = end.body
-        entry[f"point_{letter}"] = end.point(item.vector(f"location_body_{i}"))
-    return entry
 
 
 def _line(reading: Reading, item: Item) -> Entry:
@@ -98,17 +84,22 @@ def _weld(reading: Reading, item: Item) -> Entry:
     ends = _ends(reading, item, ("frame1", "body_1", "body1"), ("frame2", "body_2", "body2"))
     for letter, end, i in zip("ab", ends, "12", strict=True):
         at = old_placement(item, (f"location_body_{i}",), (f"orientation_body_{i}",))
-        entry |= placed(letter, Attached(end.body, end.at * at))
+        entry |= frame_entries(letter, Attached(end.body, end.at * at))
     return entry
 
 
-def placed(letter: str, end: Attached) -> Entry:
-    """A frame of a closure."""
-    return {
-        f"frame_{letter}": end.body,
-        f"point_{letter}": end.at.translation.tolist(),
-        f"rpy_{letter}": roll_pitch_yaw(end.at.rotation),
-    }
+def _ends(reading: Reading, item: Item, *names: tuple[str, ...]) -> list[Attached]:
+    ends = [reading.attached(item, *sockets) for sockets in names]
+    reading.refuse_rigid(*ends)
+    return ends
+
+
+def _points(item: Item, ends: list[Attached]) -> Entry:
+    entry: Entry = {}
+    for letter, end, i in zip("ab", ends, "12", strict=True):
+        entry[f"frame_{letter}"] = end.body
+        entry[f"point_{letter}"] = end.point(item.vector(f"location_body_{i}"))
+    return entry
 
 
 def _axes_along(direction: Array) -> Array:

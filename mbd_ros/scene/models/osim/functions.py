@@ -1,14 +1,12 @@
 """Functions of OpenSim -> functions of a scene: f(q) as `couplings` and `moves` write them."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Mapping
 
 from mbd_ros.errors import MbdError
+from mbd_ros.scene.models.motions import IDENTITY, Function, constant, linear, sine
 from mbd_ros.scene.models.osim.item import Item
-from mbd_ros.scene.models.urdf_text import IDENTITY, Function, constant, linear, sine
-
-
-class UnknownFunction(MbdError):
-    """A function that no function of a scene expresses."""
 
 
 def function_in(holder: Item | None) -> Function:
@@ -46,24 +44,8 @@ def is_function(item: Item) -> bool:
     return item.type in _READERS
 
 
-def scaled(function: Function, scale: float) -> Function:
-    """f(q) times a number."""
-    if function.constant is not None:
-        return constant(function.constant * scale)
-    if scale == 0.0:
-        return constant(0.0)
-    ((kind, given), *_) = function.entry.items()
-    if kind == "factor":
-        return linear(given * scale, function.offset * scale)
-    if kind == "polynomial":
-        return Function({kind: [c * scale for c in given]})
-    if kind == "piecewise_polynomial":
-        rows = [[c * scale for c in row] for row in given["coefficients"]]
-        return Function({kind: {**given, "coefficients": rows}})
-    if kind == "harmonic":
-        heights = {key: given[key] * scale for key in ("amplitude", "offset")}
-        return Function({kind: {**given, **heights}})
-    return Function({kind: {**given, "y": [y * scale for y in given["y"]]}})
+class UnknownFunction(MbdError):
+    """A function that no function of a scene expresses."""
 
 
 def _constant(item: Item) -> Function:
@@ -80,14 +62,6 @@ def _polynomial(item: Item) -> Function:
     if len(lowest_first) < 3:
         return linear(*[*lowest_first, 0.0][1::-1])
     return Function({"polynomial": lowest_first})
-
-
-def _points(item: Item) -> tuple[list[float], list[float]]:
-    x, y = item.numbers("x"), item.numbers("y")
-    if len(x) != len(y) or not x:
-        raise item.error(f"{len(x)} <x> and {len(y)} <y>, expected as many")
-    pairs = sorted(dict(zip(x, y, strict=True)).items())  # OpenSim sorts SIMM's points
-    return [one for one, _ in pairs], [other for _, other in pairs]
 
 
 def _simm(item: Item) -> Function:
@@ -133,6 +107,34 @@ def _sine(item: Item) -> Function:
     amplitude, omega = (item.number(tag, default=1.0) for tag in ("amplitude", "omega"))
     phase, offset = (item.number(tag, default=0.0) for tag in ("phase", "offset"))
     return sine(amplitude, omega, phase, offset)
+
+
+def _points(item: Item) -> tuple[list[float], list[float]]:
+    x, y = item.numbers("x"), item.numbers("y")
+    if len(x) != len(y) or not x:
+        raise item.error(f"{len(x)} <x> and {len(y)} <y>, expected as many")
+    pairs = sorted(dict(zip(x, y, strict=True)).items())  # OpenSim sorts SIMM's points
+    return [one for one, _ in pairs], [other for _, other in pairs]
+
+
+def scaled(function: Function, scale: float) -> Function:
+    """f(q) times a number."""
+    if function.constant is not None:
+        return constant(function.constant * scale)
+    if scale == 0.0:
+        return constant(0.0)
+    ((kind, given), *_) = function.entry.items()
+    if kind == "factor":
+        return linear(given * scale, function.offset * scale)
+    if kind == "polynomial":
+        return Function({kind: [c * scale for c in given]})
+    if kind == "piecewise_polynomial":
+        rows = [[c * scale for c in row] for row in given["coefficients"]]
+        return Function({kind: {**given, "coefficients": rows}})
+    if kind == "harmonic":
+        heights = {key: given[key] * scale for key in ("amplitude", "offset")}
+        return Function({kind: {**given, **heights}})
+    return Function({kind: {**given, "y": [y * scale for y in given["y"]]}})
 
 
 _READERS: Mapping[str, Callable[[Item], Function]] = {

@@ -1,4 +1,10 @@
-"""Elements of a model and frames on its bodies."""
+"""Elements of a model, with checked values, and the frames that they name on its bodies.
+
+Sockets, connectors and names of bodies say, in files of all versions, to which frame something is
+attached.
+"""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
@@ -11,11 +17,11 @@ import pinocchio as pin
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.models.urdf_text import roll_pitch_yaw
 
-# ---- item -------------------------------------------------------------------------------------
-# An element of a model: its type, its name and its values, checked.
-
-
+GROUND = "ground"
+_HOLDERS = ("components", "objects", "frames")
+_DEEPEST = 32  # frames on frames on ..
 _TRUE, _FALSE = ("true", "1"), ("false", "0")
 
 
@@ -36,8 +42,8 @@ class Item:
         self,
         element: Element,
         source: str,
-        defaults: "dict[str, Element] | None" = None,
-        outer: "Item | None" = None,
+        defaults: dict[str, Element] | None = None,
+        outer: Item | None = None,
     ) -> None:
         self.element, self.source, self.defaults = element, source, defaults or {}
         self.outer = outer
@@ -66,7 +72,7 @@ class Item:
         """What is wrong with this element."""
         return SceneError(f"{self.where}: {text}")
 
-    def find(self, *tags: str) -> "Item | None":
+    def find(self, *tags: str) -> Item | None:
         """The first element inside with one of these tags."""
         for tag in tags:
             found = self._child(tag)
@@ -133,7 +139,7 @@ class Item:
             raise self.error(f"<{tags[0]}> has {len(found)} numbers, expected {length}")
         return found
 
-    def objects(self, *tags: str) -> "Iterator[Item]":
+    def objects(self, *tags: str) -> Iterator[Item]:
         """The elements of a set: in `<objects>`, or in the set itself."""
         holder = self.find(*tags)
         if holder is None:
@@ -143,7 +149,7 @@ class Item:
             if element.tag not in ("groups", "objects"):
                 yield Item(element, self.source, self.defaults, self)
 
-    def components(self, *tags: str, ending: str) -> "Iterator[Item]":
+    def components(self, *tags: str, ending: str | tuple[str, ...]) -> Iterator[Item]:
         """The elements of a set, and those components of this one whose type ends so."""
         yield from self.objects(*tags)
         for holder in ("components", "ComponentSet"):
@@ -151,7 +157,7 @@ class Item:
                 if item.type.endswith(ending):
                     yield item
 
-    def children(self) -> "Iterator[Item]":
+    def children(self) -> Iterator[Item]:
         """All elements inside."""
         for element in self.element:
             yield Item(element, self.source, self.defaults, self)
@@ -170,42 +176,6 @@ class Item:
         if not math.isfinite(number) or abs(number) > LARGEST:
             raise self.error(f"<{tag}> holds {word}, accepted are {-LARGEST:g} .. {LARGEST:g}")
         return number
-
-
-# ---- frames -----------------------------------------------------------------------------------
-# Bodies and the frames on them: what sockets, connectors and body names of a model mean.
-
-
-GROUND = "ground"
-_HOLDERS = ("components", "objects", "frames")
-_DEEPEST = 32  # frames on frames on ..
-
-
-class Attached(NamedTuple):
-    """A frame on a body.
-
-    Attributes:
-        body: Name of the body.
-        at: `pinocchio.SE3` of the frame in the axes of the body.
-    """
-
-    body: str
-    at: Any
-
-    def point(self, xyz: Sequence[float]) -> list[float]:
-        """A point of the frame in the axes of the body [m], shape (3,)."""
-        found: list[float] = self.at.act(np.array(xyz, dtype=np.float64)).tolist()
-        return found
-
-    def direction(self, vector: Sequence[float]) -> list[float]:
-        """A direction of the frame in the axes of the body, shape (3,)."""
-        found: list[float] = (self.at.rotation @ np.array(vector, dtype=np.float64)).tolist()
-        return found
-
-
-def bodies_of(model: Item) -> list[Item]:
-    """The bodies of a model."""
-    return [*model.components("BodySet", ending="Body")]
 
 
 class Frames:
@@ -282,6 +252,33 @@ class Frames:
             self._index(inner)
 
 
+def bodies_of(model: Item) -> list[Item]:
+    """The bodies of a model."""
+    return [*model.components("BodySet", ending="Body")]
+
+
+class Attached(NamedTuple):
+    """A frame on a body.
+
+    Attributes:
+        body: Name of the body.
+        at: `pinocchio.SE3` of the frame in the axes of the body.
+    """
+
+    body: str
+    at: Any
+
+    def point(self, xyz: Sequence[float]) -> list[float]:
+        """A point of the frame in the axes of the body [m], shape (3,)."""
+        found: list[float] = self.at.act(np.array(xyz, dtype=np.float64)).tolist()
+        return found
+
+    def direction(self, vector: Sequence[float]) -> list[float]:
+        """A direction of the frame in the axes of the body, shape (3,)."""
+        found: list[float] = (self.at.rotation @ np.array(vector, dtype=np.float64)).tolist()
+        return found
+
+
 def socket(item: Item, *names: str) -> str:
     """Path or name of what an element is connected to, as files of any format write it."""
     for name in names:
@@ -297,23 +294,32 @@ def socket(item: Item, *names: str) -> str:
     return ""
 
 
+def _above(item: Item, levels: int) -> str:
+    """Name of the component that holds an element, so many levels up."""
+    around = item.outer
+    while around is not None:
+        levels -= around.type not in _HOLDERS
+        if levels == 0:
+            return around.name
+        around = around.outer
+    return ""
+
+
+def _own(item: Item, name: str) -> Item | None:
+    """A frame that the element, or one around it, holds itself."""
+    around: Item | None = item
+    while around is not None:
+        for tag in ("frames", "components"):
+            for inner in around.objects(tag):
+                if inner.type == "PhysicalOffsetFrame" and inner.name == name:
+                    return inner
+        around = around.outer
+    return None
+
+
 def placement(item: Item, at: Sequence[str], turned: Sequence[str]) -> Any:
     """`pinocchio.SE3` of a place [m] and of body-fixed x, y, z angles [rad]."""
     return pin.SE3(body_fixed(item.vector(*turned)), np.array(item.vector(*at)))
-
-
-def old_placement(item: Item, at: Sequence[str], turned: Sequence[str]) -> Any:
-    """As `placement`, for what files before 4.0 write where they now have offset frames.
-
-    OpenSim keeps six digits of these numbers when it reads such a file.
-    """
-    translation = np.array([six_digits(one) for one in item.vector(*at)])
-    return pin.SE3(body_fixed([six_digits(one) for one in item.vector(*turned)]), translation)
-
-
-def six_digits(number: float) -> float:
-    """The number as OpenSim writes it into a converted file."""
-    return float(f"{number:.6g}")
 
 
 def body_fixed(angles: Sequence[float]) -> Array:
@@ -344,24 +350,24 @@ def station_axes(item: Item, points: Sequence[Array]) -> Array:
     return axes
 
 
-def _above(item: Item, levels: int) -> str:
-    """Name of the component that holds an element, so many levels up."""
-    around = item.outer
-    while around is not None:
-        levels -= around.type not in _HOLDERS
-        if levels == 0:
-            return around.name
-        around = around.outer
-    return ""
+def frame_entries(letter: str, end: Attached) -> dict[str, Any]:
+    """Return `frame_a`, `point_a` and `rpy_a` of a part that holds two frames a and b."""
+    return {
+        f"frame_{letter}": end.body,
+        f"point_{letter}": end.at.translation.tolist(),
+        f"rpy_{letter}": roll_pitch_yaw(end.at.rotation),
+    }
 
 
-def _own(item: Item, name: str) -> Item | None:
-    """A frame that the element, or one around it, holds itself."""
-    around: Item | None = item
-    while around is not None:
-        for tag in ("frames", "components"):
-            for inner in around.objects(tag):
-                if inner.type == "PhysicalOffsetFrame" and inner.name == name:
-                    return inner
-        around = around.outer
-    return None
+def old_placement(item: Item, at: Sequence[str], turned: Sequence[str]) -> Any:
+    """As `placement`, for what files before 4.0 write where they now have offset frames.
+
+    OpenSim keeps six digits of these numbers when it reads such a file.
+    """
+    translation = np.array([six_digits(one) for one in item.vector(*at)])
+    return pin.SE3(body_fixed([six_digits(one) for one in item.vector(*turned)]), translation)
+
+
+def six_digits(number: float) -> float:
+    """The number as OpenSim writes it into a converted file."""
+    return float(f"{number:.6g}")

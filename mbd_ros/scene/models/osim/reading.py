@@ -3,10 +3,10 @@
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from mbd_ros.scene.models.imported import LeftOut, Unexpressed
+from mbd_ros.scene.models.imported_model import LeftOut, Unexpressed
+from mbd_ros.scene.models.names import Names
 from mbd_ros.scene.models.osim.item import Attached, Frames, Item, socket
-from mbd_ros.scene.models.osim.joints import Mechanism
-from mbd_ros.scene.models.urdf_text import Names
+from mbd_ros.scene.models.osim.mechanism import Mechanism
 
 FORCES = ("Force", "Muscle", "Actuator", "Spring", "Ligament")
 
@@ -19,6 +19,7 @@ class Reading:
         frames: Its bodies and offset frames.
         mechanism: Its joints.
         fixed: Coordinates that do not move -> position [rad or m].
+        closures: Name of a joint that closes a loop -> the constraint in its place.
 
     Attributes:
         joints: Names of the joints of the scene.
@@ -27,20 +28,24 @@ class Reading:
         carriers: Link -> the joint that carries it, empty for ground.
         left_out: Elements that the scene does not have.
         names: Of joints and parts.
-        closures: Name of a joint that closes a loop -> the constraint in its place.
     """
 
     def __init__(
-        self, model: Item, frames: Frames, mechanism: Mechanism, fixed: Mapping[str, float]
+        self,
+        model: Item,
+        frames: Frames,
+        mechanism: Mechanism,
+        fixed: Mapping[str, float],
+        closures: Mapping[str, dict[str, Any]],
     ) -> None:
         self.model, self.frames, self.fixed = model, frames, fixed
+        self.closures = closures
         self.joints = {joint.name for joint in mechanism.joints}
         self.turning = {j.name for j in mechanism.joints if j.motion and j.motion.turns}
         self.held = mechanism.coordinates.keys() - self.joints - fixed.keys()
         self.carriers = mechanism.carriers(fixed)
         self.left_out: list[LeftOut] = []
         self.names = Names(self.joints)
-        self.closures: Mapping[str, dict[str, Any]] = {}
 
     def leave_out(self, item: Item, reason: str) -> None:
         """Note that the scene does not have an element."""
@@ -79,17 +84,8 @@ class Reading:
             raise item.error(f"there is no coordinate '{path}'; there are {known}")
         return name
 
-    def forces_given(self) -> Iterator[Item]:
-        """The elements of the force set, and other components that are forces."""
-        yield from self.model.objects("ForceSet")
-        for holder in ("components", "ComponentSet"):
-            for item in self.model.objects(holder):
-                if item.type.endswith(FORCES):
-                    yield item
-
     def forces(self) -> Iterator[Item]:
-        """The elements of the force set that act."""
-        for item in self.forces_given():
-            acts = item.flag("appliesForce", default=not item.flag("isDisabled"))
-            if acts:
+        """The elements of the force set, and other components that are forces, which act."""
+        for item in self.model.components("ForceSet", ending=FORCES):
+            if item.flag("appliesForce", default=not item.flag("isDisabled")):
                 yield item

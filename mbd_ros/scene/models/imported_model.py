@@ -1,4 +1,9 @@
-"""What a model of another program becomes, and what of it a scene does not have."""
+"""What a model of another program becomes, and what of it a scene does not have.
+
+Files of models are read leniently: in old encodings, and where strict readers of XML refuse them.
+"""
+
+from __future__ import annotations
 
 import gzip
 import re
@@ -9,8 +14,30 @@ from xml.etree import ElementTree
 
 from mbd_ros.errors import SceneError
 
-# ---- imported ---------------------------------------------------------------------------------
-# What a model of another program becomes, and what of it a scene does not have.
+NO_PLACE = "a scene has no place for it"  # a reason to leave something out
+MAX_BYTES = 64 * 1024 * 1024
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_DECLARATION = re.compile(r"\s*<\?xml.*?\?>", re.DOTALL)
+_SCOPE = re.compile(r"(</?[\w.-]+)::(?=[\w.-])")  # a class inside a class of C++
+_REFUSED = re.compile(r"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
+
+
+class Imported(NamedTuple):
+    """What a model becomes.
+
+    Attributes:
+        name: Of the model.
+        urdf: Its bodies and joints.
+        robot: Keys of the section `robot` besides the description.
+        sections: The other sections.
+        left_out: Elements that they do not have.
+    """
+
+    name: str
+    urdf: str
+    robot: dict[str, Any]
+    sections: dict[str, Any]
+    left_out: tuple[LeftOut, ...]
 
 
 class LeftOut(NamedTuple):
@@ -32,35 +59,6 @@ class LeftOut(NamedTuple):
 
 class Unexpressed(SceneError):
     """An element that a scene cannot express; its message says why, for the list of left-outs."""
-
-
-class Imported(NamedTuple):
-    """What a model becomes.
-
-    Attributes:
-        name: Of the model.
-        urdf: Its bodies and joints.
-        robot: Keys of the section `robot` besides the description.
-        sections: The other sections.
-        left_out: Elements that they do not have.
-    """
-
-    name: str
-    urdf: str
-    robot: dict[str, Any]
-    sections: dict[str, Any]
-    left_out: tuple[LeftOut, ...]
-
-
-# ---- xml text ---------------------------------------------------------------------------------
-# Bytes of a model file -> its elements, also where strict XML readers refuse them.
-
-
-MAX_BYTES = 64 * 1024 * 1024
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-_DECLARATION = re.compile(r"\s*<\?xml.*?\?>", re.DOTALL)
-_SCOPE = re.compile(r"(</?[\w.-]+)::(?=[\w.-])")  # a class inside a class of C++
-_REFUSED = re.compile(r"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 
 
 def read_text(path: Path) -> str:
