@@ -21,7 +21,7 @@ from mbd_ros.features.prediction.modes import (
 )
 from mbd_ros.features.prediction.recording import Recording, References, given_inputs, recorded
 from mbd_ros.features.prediction.task import PhaseTask, PredictTask
-from mbd_ros.methods.projection.coupled_joints import independent_limits
+from mbd_ros.methods.projection.independent_limits import independent_limits
 from mbd_ros.optimal_control.mesh import uniform_mesh
 from mbd_ros.optimal_control.phase_motion import PhaseMotion
 from mbd_ros.optimal_control.problem import PhaseProblem, Range, body_names

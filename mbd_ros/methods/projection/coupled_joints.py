@@ -1,323 +1,36 @@
-"""The nearest state of robots with couplings alone: q = F(y) with two derivatives.
+"""The nearest state of a robot whose only constraints are couplings of joints.
 
-Every dependent joint follows one other joint, so that it has one independent ancestor z_k: row i
-of G = dF/dy holds one number, dF_i/dz_k, and so do its second derivatives.
+All joints are functions of the independent ones, q = F(y). Every dependent joint follows one other
+joint, so that it has one independent ancestor z_k: row i of G = dF/dy holds one number, dF_i/dz_k,
+and so do its second derivatives. The nearest state minimises over y alone:
+
+    position   min 1/2 p' W p,  p = F(y) - q_m   subject to  lower <= F(y) <= upper
+    velocity   min 1/2 p' W p,  p = G y' - v_m   subject to  floor <= G y' <= ceiling
+
+Newton's method finds the position, with gradient G' W p and Hessian G' W G + diag(h), where h_k is
+the sum of (W p)_i d2F_i/dz_k2 over the joints i that follow z_k. Source: J. Nocedal and S. Wright,
+Numerical Optimization, 2006, ch. 3.
 """
 
+from __future__ import annotations
+
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import eigenpy
 import numpy as np
-from numpy.typing import NDArray
 
-from mbd_ros.core.model.couplings import CoupledPair, Couplings
-from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.optimization.move_qp import LimitForces, Metric, row_weight, stops
+from mbd_ros.core.model.couplings import CoupledPair
+from mbd_ros.core.optimization.move_qp import LimitForces, stops
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import BRANCH_STEP, NEAREST, ON_MANIFOLD, REACHED
 from mbd_ros.errors import SolveError
 
-# ---- coupled joints ---------------------------------------------------------------------------
-# All joints as functions of the independent ones, q = F(y), with two derivatives.
-
-
 _SUCCESS = eigenpy.ComputationInfo.Success
-
-
-class Place(NamedTuple):
-    """F and its derivatives at one y.
-
-    Attributes:
-        q: All positions [rad or m], shape (n,).
-        slope: dF_i/dz_k of its ancestor, shape (n,).
-        curvature: d2F_i/dz_k2, shape (n,).
-        link_slopes: f' of each coupling at its parent, length m.
-    """
-
-    q: Array
-    slope: Array
-    curvature: Array
-    link_slopes: list[float]
-
-
-class CoupledJoints:
-    """Couplings of a fixed-base robot; each function is evaluated once a place.
-
-    Args:
-        n: Number of joints.
-        pairs: The couplings, parents before children.
-
-    Attributes:
-        free: The independent joints, shape (ny,).
-        ancestry: 1 where a joint moves with an independent one, shape (n, ny).
-    """
-
-    def __init__(self, n: int, pairs: Sequence[CoupledPair]) -> None:
-        self._pairs = tuple((pair.child_v, pair.parent_v, pair.function) for pair in pairs)
-        self.free = np.setdiff1d(np.arange(n), [child for child, _, _ in self._pairs])
-        self.ancestry = np.zeros((n, len(self.free)))
-        self.ancestry[self.free, np.arange(len(self.free))] = 1.0
-        for child, parent, _ in self._pairs:
-            self.ancestry[child] = self.ancestry[parent]
-        self._ones, self._zeros = [1.0] * n, [0.0] * n
-
-    def at(self, start: Array) -> Place:
-        """F and its derivatives.
-
-        Args:
-            start: Positions whose independent ones are y [rad or m], shape (n,).
-        """
-        q, slope, curvature = start.tolist(), self._ones.copy(), self._zeros.copy()
-        slopes = []
-        for child, parent, function in self._pairs:
-            q[child], first, second = function(q[parent])
-            up = slope[parent]
-            slope[child] = first * up
-            curvature[child] = second * up * up + first * curvature[parent]
-            slopes.append(first)
-        values = np.array((q, slope, curvature))
-        return Place(values[0], values[1], values[2], slopes)
-
-    def multipliers(self, forces: Array, link_slopes: list[float]) -> Array:
-        """Multipliers of the couplings that carry forces to the independent joints, shape (m,).
-
-        Args:
-            forces: On all joints, shape (n,); those on the independent ones have no influence.
-            link_slopes: Those of a `Place`.
-        """
-        carried = forces.tolist()
-        for (child, parent, _), slope in zip(
-            reversed(self._pairs), reversed(link_slopes), strict=True
-        ):
-            carried[parent] += slope * carried[child]
-        return np.array([carried[child] for child, _, _ in self._pairs])
-
-    def violation(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Residual g and its rate g' at any state of all joints, shapes (m,) and (m,)."""
-        at, speed, g, rate = q.tolist(), v.tolist(), [], []
-        for child, parent, function in self._pairs:
-            follows, slope, _ = function(at[parent])
-            g.append(at[child] - follows)
-            rate.append(speed[child] - slope * speed[parent])
-        return np.array(g), np.array(rate)
-
-
-class Tangent:
-    """Moves along the couplings, p = G dy, that cost 1/2 dy' H dy with H = G' W G + diag(h).
-
-    Args:
-        ancestry: That of the `CoupledJoints`, shape (n, ny).
-        slope: dF_i/dz_k, shape (n,).
-        W: Metric, shape (n, n).
-        bend: What each joint adds to h, shape (n,).
-    """
-
-    def __init__(self, ancestry: Array, slope: Array, W: Array, bend: Array | None = None) -> None:
-        self._ancestry, self._G = ancestry, ancestry * slope[:, None]
-        H = self._G.T.dot(W.dot(self._G))
-        if bend is not None:
-            H += ancestry.T.dot(bend[:, None] * ancestry)
-        self._cholesky = eigenpy.LLT(H)
-
-    @property
-    def is_convex(self) -> bool:
-        """Whether H is definite."""
-        return bool(self._cholesky.info() == _SUCCESS)
-
-    def along(self, reduced: Array) -> Array:
-        """Moves that forces on the independent joints cause, one a column."""
-        return self._G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
-
-    def moves(self, forces: Array) -> Array:
-        """Moves that forces on all joints cause, one a column."""
-        return self.along(self._G.T.dot(forces))
-
-    def mobility(self) -> Array:
-        """Moves per force of the independent joint that each one follows, shape (n,)."""
-        reduced = self._ancestry.T
-        moves = self._cholesky.solve(reduced).reshape(reduced.shape)
-        return np.array((moves * reduced).sum(axis=0))
-
-
-# ---- nearest state ----------------------------------------------------------------------------
-# The nearest state and its metric, common to both methods.
-
-
-_SHARE = 0.1  # of a free direction from which a joint counts as free
-
-
-class Nearest(NamedTuple):
-    """The nearest state, checked.
-
-    Attributes:
-        q: Configuration, shape (n,).
-        v: Velocity, shape (n,).
-        lam: Multipliers of the rows that kept q, shape (m,).
-        mu: Multipliers of the limits that kept q, shape (n,).
-        iterations: Steps to q.
-        condition: Condition number of the rows in the metric; 1 where none had to be factorised.
-    """
-
-    q: Array
-    v: Array
-    lam: Array
-    mu: Array
-    iterations: int
-    condition: float
-
-
-def metric_of(
-    M: Array, J: Array, known: NDArray[np.bool_], amplification: float
-) -> tuple[Metric, NDArray[np.bool_]]:
-    """Mass metric of the measured joints.
-
-    A joint that was not measured costs nothing to move, so that the rows alone place it. Some
-    joints the rows leave free, or would place with errors larger than those of the measured
-    joints by more than `amplification`. They keep their mass: they stay, as far as the rows let
-    them.
-
-    Args:
-        M: Mass matrix, shape (n, n).
-        J: Rows, shape (m, n).
-        known: Measured joints, shape (n,).
-        amplification: See above; in raw units, rad and m alike.
-
-    Returns:
-        The metric, and the joints without measurement that the rows leave free, shape (n,).
-    """
-    undetermined = np.zeros(len(M), dtype=np.bool_)
-    if known.all():
-        return Metric(M, None), undetermined
-    free = (~known).nonzero()[0]
-    W = np.where(known[:, None] & known, M, 0.0)
-    length = np.sqrt((J * J).sum(axis=1))
-    reach = J[:, free] / np.where(length > 0.0, length, 1.0)[:, None]
-    _, sizes, directions = np.linalg.svd(reach)
-    rank = int(np.count_nonzero(sizes * amplification > 1.0))
-    null = directions[rank:].T
-    block = np.ix_(free, free)
-    W[block] = null.dot(null.T.dot(M[block]).dot(null)).dot(null.T)
-    undetermined[free] = (np.abs(null) > _SHARE).any(axis=1)
-    return Metric(W, row_weight(M, J)), undetermined
-
-
-# ---- independent limits -----------------------------------------------------------------------
-# Limits of dependent joints, as limits of the independent ones that they follow.
-
-
-_SAMPLES = 2001  # of a coupling, over the range of its parent
-_WIDE = 4.0 * np.pi  # rad or m: range of a parent without limits
-_HALVINGS = 50
-_SLACK = 1.0e-9  # rad or m by which a dependent joint may pass its limit
-Bools = NDArray[np.bool_]
-
-
-def independent_limits(robot: Robot, couplings: Couplings) -> tuple[Array, Array]:
-    """Range of the independent coordinates in which all joints are within limits.
-
-    Args:
-        robot: The robot.
-        couplings: Its dependent joints.
-
-    Returns:
-        Smallest and largest values [rad or m], shapes (ny,) and (ny,); infinite for free bodies.
-    """
-    nv = robot.model.nv
-    low, high = np.full(nv, -np.inf), np.full(nv, np.inf)
-    for joint in robot.joints:
-        low[joint.v], high[joint.v] = joint.lower, joint.upper
-    followed = {pair.parent_v for pair in couplings.pairs} & set(couplings.v_index.tolist())
-    for v in sorted(followed):
-        low[v], high[v] = _room(robot, couplings, v, low, high)
-    return low[couplings.v_index], high[couplings.v_index]
-
-
-def _room(
-    robot: Robot, couplings: Couplings, v: int, low: Array, high: Array
-) -> tuple[float, float]:
-    """The interval of one independent joint around 0 in which its dependents keep limits.
-
-    Without any such interval their limits have no say.
-    """
-    (q_of,) = (joint.q for joint in robot.joints if joint.v == v)
-    ends = max(low[v], -_WIDE), min(high[v], _WIDE)
-
-    dependent = [joint for joint in robot.joints if joint.name in couplings.dependent]
-
-    def kept(z: Array) -> Bools:
-        q = np.repeat(robot.neutral()[:, None], len(z), axis=1)
-        q[q_of] = z
-        moving = np.zeros((robot.model.nv, len(z)))
-        moving[v] = 1.0
-        couplings.expand(q, moving, np.zeros(moving.shape))
-        inside: Bools = np.ones(len(z), dtype=np.bool_)
-        for joint in dependent:
-            if moving[joint.v].any():
-                inside &= q[joint.q] >= joint.lower - _SLACK
-                inside &= q[joint.q] <= joint.upper + _SLACK
-        return inside
-
-    z = np.linspace(*ends, _SAMPLES)
-    inside = kept(z)
-    if inside.all() or not inside.any():
-        return float(low[v]), float(high[v])
-    middle = int(np.argmin(np.where(inside, np.abs(z), np.inf)))
-    left, right = np.flatnonzero(~inside[:middle]), np.flatnonzero(~inside[middle:])
-    lower, upper = float(low[v]), float(high[v])
-    if len(left):
-        lower = _edge(kept, z[left[-1] + 1], z[left[-1]])
-    if len(right):
-        upper = _edge(kept, z[middle + right[0] - 1], z[middle + right[0]])
-    return lower, upper
-
-
-def _edge(kept: Callable[[Array], Bools], inside: float, outside: float) -> float:
-    """Where limits are reached between two positions, by bisection."""
-    for _ in range(_HALVINGS):
-        middle = 0.5 * (inside + outside)
-        if kept(np.array([middle]))[0]:
-            inside = middle
-        else:
-            outside = middle
-    return inside
-
-
-# ---- nearest coupled --------------------------------------------------------------------------
-# The nearest state of robots with couplings alone, in the independent coordinates.
-#
-#     position   min 1/2 p' W p,  p = F(y) - q_m   subject to  lower <= F(y) <= upper
-#     velocity   min 1/2 p' W p,  p = G y' - v_m   subject to  floor <= G y' <= ceiling
-#
-# Newton's method finds the position, with gradient G' W p and Hessian G' W G + diag(h), where h_k
-# is
-# the sum of (W p)_i d2F_i/dz_k2 over the joints i that follow z_k. Source: J. Nocedal and S.
-# Wright,
-# Numerical Optimization, 2006, ch. 3.
-
-
 _ITERATIONS = 12
 _WITHIN = 1.0e-13  # distance from a limit that is rounding [rad or m]
 _SLOW = 0.1  # step over the last one from which a new Hessian pays
-
-
-class _Stationary(NamedTuple):
-    """Where Newton's method ends.
-
-    Attributes:
-        place: F there.
-        pull: W p, shape (n,).
-        mu: Forces of the limits, shape (n,); None where none acts.
-        clearance: Distance from the nearest limit [rad or m].
-        iterations: Steps, the last of which changed nothing.
-    """
-
-    place: Place
-    pull: Array
-    mu: Array | None
-    clearance: float
-    iterations: int
 
 
 class NearestCoupled:
@@ -431,3 +144,156 @@ class NearestCoupled:
 
 def _norm(vector: Array) -> float:
     return math.sqrt(vector.dot(vector))
+
+
+class Nearest(NamedTuple):
+    """The nearest state, checked.
+
+    Attributes:
+        q: Configuration, shape (n,).
+        v: Velocity, shape (n,).
+        lam: Multipliers of the rows that kept q, shape (m,).
+        mu: Multipliers of the limits that kept q, shape (n,).
+        iterations: Steps to q.
+        condition: Condition number of the rows in the metric; 1 where none had to be factorised.
+    """
+
+    q: Array
+    v: Array
+    lam: Array
+    mu: Array
+    iterations: int
+    condition: float
+
+
+class _Stationary(NamedTuple):
+    """Where Newton's method ends.
+
+    Attributes:
+        place: F there.
+        pull: W p, shape (n,).
+        mu: Forces of the limits, shape (n,); None where none acts.
+        clearance: Distance from the nearest limit [rad or m].
+        iterations: Steps, the last of which changed nothing.
+    """
+
+    place: Place
+    pull: Array
+    mu: Array | None
+    clearance: float
+    iterations: int
+
+
+class CoupledJoints:
+    """Couplings of a fixed-base robot; each function is evaluated once a place.
+
+    Args:
+        n: Number of joints.
+        pairs: The couplings, parents before children.
+
+    Attributes:
+        free: The independent joints, shape (ny,).
+        ancestry: 1 where a joint moves with an independent one, shape (n, ny).
+    """
+
+    def __init__(self, n: int, pairs: Sequence[CoupledPair]) -> None:
+        self._pairs = tuple((pair.child_v, pair.parent_v, pair.function) for pair in pairs)
+        self.free = np.setdiff1d(np.arange(n), [child for child, _, _ in self._pairs])
+        self.ancestry = np.zeros((n, len(self.free)))
+        self.ancestry[self.free, np.arange(len(self.free))] = 1.0
+        for child, parent, _ in self._pairs:
+            self.ancestry[child] = self.ancestry[parent]
+        self._ones, self._zeros = [1.0] * n, [0.0] * n
+
+    def at(self, start: Array) -> Place:
+        """F and its derivatives.
+
+        Args:
+            start: Positions whose independent ones are y [rad or m], shape (n,).
+        """
+        q, slope, curvature = start.tolist(), self._ones.copy(), self._zeros.copy()
+        slopes = []
+        for child, parent, function in self._pairs:
+            q[child], first, second = function(q[parent])
+            up = slope[parent]
+            slope[child] = first * up
+            curvature[child] = second * up * up + first * curvature[parent]
+            slopes.append(first)
+        values = np.array((q, slope, curvature))
+        return Place(values[0], values[1], values[2], slopes)
+
+    def multipliers(self, forces: Array, link_slopes: list[float]) -> Array:
+        """Multipliers of the couplings that carry forces to the independent joints, shape (m,).
+
+        Args:
+            forces: On all joints, shape (n,); those on the independent ones have no influence.
+            link_slopes: Those of a `Place`.
+        """
+        carried = forces.tolist()
+        for (child, parent, _), slope in zip(
+            reversed(self._pairs), reversed(link_slopes), strict=True
+        ):
+            carried[parent] += slope * carried[child]
+        return np.array([carried[child] for child, _, _ in self._pairs])
+
+    def violation(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Residual g and its rate g' at any state of all joints, shapes (m,) and (m,)."""
+        at, speed, g, rate = q.tolist(), v.tolist(), [], []
+        for child, parent, function in self._pairs:
+            follows, slope, _ = function(at[parent])
+            g.append(at[child] - follows)
+            rate.append(speed[child] - slope * speed[parent])
+        return np.array(g), np.array(rate)
+
+
+class Place(NamedTuple):
+    """F and its derivatives at one y.
+
+    Attributes:
+        q: All positions [rad or m], shape (n,).
+        slope: dF_i/dz_k of its ancestor, shape (n,).
+        curvature: d2F_i/dz_k2, shape (n,).
+        link_slopes: f' of each coupling at its parent, length m.
+    """
+
+    q: Array
+    slope: Array
+    curvature: Array
+    link_slopes: list[float]
+
+
+class Tangent:
+    """Moves along the couplings, p = G dy, that cost 1/2 dy' H dy with H = G' W G + diag(h).
+
+    Args:
+        ancestry: That of the `CoupledJoints`, shape (n, ny).
+        slope: dF_i/dz_k, shape (n,).
+        W: Metric, shape (n, n).
+        bend: What each joint adds to h, shape (n,).
+    """
+
+    def __init__(self, ancestry: Array, slope: Array, W: Array, bend: Array | None = None) -> None:
+        self._ancestry, self._G = ancestry, ancestry * slope[:, None]
+        H = self._G.T.dot(W.dot(self._G))
+        if bend is not None:
+            H += ancestry.T.dot(bend[:, None] * ancestry)
+        self._cholesky = eigenpy.LLT(H)
+
+    @property
+    def is_convex(self) -> bool:
+        """Whether H is definite."""
+        return bool(self._cholesky.info() == _SUCCESS)
+
+    def along(self, reduced: Array) -> Array:
+        """Moves that forces on the independent joints cause, one a column."""
+        return self._G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
+
+    def moves(self, forces: Array) -> Array:
+        """Moves that forces on all joints cause, one a column."""
+        return self.along(self._G.T.dot(forces))
+
+    def mobility(self) -> Array:
+        """Moves per force of the independent joint that each one follows, shape (n,)."""
+        reduced = self._ancestry.T
+        moves = self._cholesky.solve(reduced).reshape(reduced.shape)
+        return np.array((moves * reduced).sum(axis=0))
