@@ -1,76 +1,133 @@
-"""The nearest state on the constraint manifold, in the mass metric.
+"""Assembly: the nearest state on the constraint manifold, in the mass metric.
 
-Position: min |q - q0|_M subject to g(t, q) = 0. Velocity: min |v - v0|_M subject to
-J v + dg/dt = 0. Source: E. Eich, SIAM J. Numer. Anal. 30 (1993).
+    position   min |q - q0|_M   subject to   g(t, q) = 0
+    velocity   min |v - v0|_M   subject to   J v + dg/dt = 0
+
+`assemble` starts from any state and looks for the nearest one on its branch; `project` starts from
+a state that a step took slightly off the manifold, and lands on it with few evaluations. A
+`Stabilization` keeps a simulation on the manifold by one of these means or by feedback.
+
+Source: E. Eich, Convergence results for a coordinate projection method applied to mechanical
+systems with algebraic constraints, SIAM J. Numer. Anal. 30 (1993).
 """
 
 from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.dynamics.mass import check_mass
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.rows.delassus import RowFactor
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import ASSEMBLED, BRANCH_STEP, LANDED, NEAREST, ON_MANIFOLD
 from mbd_ros.errors import SolveError
 
-# ---- assembly ---------------------------------------------------------------------------------
-# The nearest state on the constraint manifold, in the mass metric.
-
-
-_MAX_ITERATIONS = 100
-_SMALLEST_STEP = 1.0e-6
-_CORRECTIONS, _VELOCITY_CORRECTIONS = 12, 3
-_SHRINKS, _STUCK = 0.1, 4  # when rows count as having turned; how often they may
+_MAX_ITERATIONS = 100  # of Newton's method, and of the descent along the manifold
+_SMALLEST_STEP = 1.0e-6  # share of a step of the descent below which it ends
+_CORRECTIONS = 12  # of positions after a step
+_VELOCITY_CORRECTIONS = 3
+_SHRINKS = 0.1  # of the last residual: a slower fall means that the rows have turned
+_STUCK = 4  # how often rows may turn
 _OPEN = 1.0e-6  # what rows at a toggle may leave open [m or rad]
 
 
-class Violation(NamedTuple):
-    """How far a state is off the constraints.
+def assemble(system: System, x: State) -> State:
+    """The nearest consistent state to one that may be far off, on its branch.
 
-    Attributes:
-        position: Largest |g| [m or rad].
-        velocity: Largest |g'| [m/s or rad/s].
-    """
-
-    position: float
-    velocity: float
-
-
-def violation(system: System, x: State) -> Violation:
-    """How far a state of the integrated coordinates violates the bilateral rows."""
-    held = system.held
-    if not held.rows:
-        return Violation(0.0, 0.0)
-    g = held.residual(x.t, x.q)
-    rate = held.jacobian(x.t, x.q).dot(x.v) + held.rate(x.t, x.q)
-    return Violation(float(np.abs(g).max()), float(np.abs(rate).max()))
-
-
-def consistent(system: System, x: State) -> State:
-    """The nearest state of the integrated coordinates with which a motion can begin.
+    A state that is consistent to rounding stays what it is, so that runs continue from it.
 
     Args:
         system: The system.
-        x: State of all joints.
+        x: Any finite state of the integrated coordinates.
 
     Raises:
-        SolveError: The mechanism cannot be assembled near it, its mass matrix is singular, or
-            bodies of contacts overlap.
+        SolveError: There is none near it; names the worst row and its residual.
     """
-    y = system.reduce(x)
-    check_mass(system, y.q)
-    if system.held.rows:
-        moved = assemble(system, y)
-        if moved is not y:
-            check_mass(system, moved.q)
-        y = moved
-    if system.layout.cones:
-        from mbd_ros.methods.projection.overlap import without_overlap
+    held = system.held
+    if not held.rows or _is_consistent(system, x):
+        return x
+    q = _nearest_configuration(system, x) if system.rows else x.q
+    J, rate = held.jacobian(x.t, q), held.rate(x.t, q)
+    v, factor = x.v, held.factor_at(x.t, q)
+    for _ in range(_VELOCITY_CORRECTIONS):  # redundant rows leave some of the first one's error
+        v = _consistent_velocity(v, J, rate, factor)
+        left = J.dot(v) + rate
+        if float(np.abs(left).max()) <= ON_MANIFOLD * (1.0 + _speed(system, J, v)):
+            break
+    worst = int(np.argmax(np.abs(left)))
+    if not abs(left[worst]) <= ASSEMBLED * (1.0 + _speed(system, J, x.v)):
+        raise SolveError(
+            f"no consistent velocity: row {held.rows[worst].name} keeps a rate of "
+            f"{left[worst]:.3g} per second; it contradicts the other rows"
+        )
+    return x._replace(q=q, v=v)
 
-        y = without_overlap(system, y)
-    return y
+
+def _is_consistent(system: System, x: State) -> bool:
+    off = violation(system, x)
+    fastest = _speed(system, system.held.jacobian(x.t, x.q), x.v)
+    return off.position <= ON_MANIFOLD and off.velocity <= ON_MANIFOLD * (1.0 + fastest)
+
+
+def _speed(system: System, J: Array, v: Array) -> float:
+    """Largest velocity [m/s or rad/s]; free bodies that no row touches do not count."""
+    if system.robot.bases:
+        v = v[J.any(axis=0)]
+    return float(np.abs(v).max(initial=0.0))
+
+
+def _nearest_configuration(system: System, x: State) -> Array:
+    """Downhill in the distance to the start, along the manifold, after Newton landed on it."""
+    M = system.mass(x.q).dense
+    landed, step = _closed(system, x.t, x.q, M), 1.0
+    if landed is None:
+        raise _not_assembled(system, x)
+    q = landed
+    away = system.chart.difference(x.q, q)
+    for _ in range(_MAX_ITERATIONS):
+        J = system.jacobian(x.t, q)
+        factor = RowFactor(M, J)
+        downhill = factor.motion(J.dot(away)) - away
+        if np.abs(downhill).max() <= NEAREST or step < _SMALLEST_STEP:
+            break
+        nearer = _closed(system, x.t, system.chart.integrate(q, step * downhill), M)
+        if nearer is not None:
+            there = system.chart.difference(x.q, nearer)
+            if there.dot(M.dot(there)) < away.dot(M.dot(away)):
+                q, away = nearer, there
+                continue
+        step *= 0.5
+    return q
+
+
+def _closed(system: System, t: float, start: Array, M: Array) -> Array | None:
+    """Newton's method with the shortest steps in the metric M; None if it does not close g."""
+    q = start
+    for _ in range(_MAX_ITERATIONS):
+        g = system.residual(t, q)
+        worst = float(np.abs(g).max())
+        if worst <= LANDED:
+            return q
+        factor = RowFactor(M, system.jacobian(t, q))
+        dq = -factor.motion(g)
+        largest = float(np.abs(dq).max())
+        if not largest > LANDED:
+            break
+        q = system.chart.integrate(q, dq * min(1.0, BRANCH_STEP / largest))
+    return q if float(np.abs(system.residual(t, q)).max()) <= ASSEMBLED else None
+
+
+def _not_assembled(system: System, x: State) -> SolveError:
+    g = np.abs(system.residual(x.t, x.q))
+    row = system.rows[int(np.argmax(g))]
+    return SolveError(
+        f"the mechanism cannot be assembled near this position: row {row.name} is "
+        f"{g.max():.3g} m or rad open and does not close; move the initial positions, or look for "
+        "constraints that contradict one another"
+    )
+
+
+def _consistent_velocity(v: Array, J: Array, rate: Array, factor: RowFactor) -> Array:
+    return v - factor.motion(J.dot(v) + rate)
 
 
 def project(system: System, x: State) -> State:
@@ -133,108 +190,26 @@ def _closed_nearby(system: System, x: State) -> tuple[Array, RowFactor]:
     return q, factor
 
 
-def assemble(system: System, x: State) -> State:
-    """The nearest consistent state to one that may be far off, on its branch.
+class Violation(NamedTuple):
+    """How far a state is off the constraints.
 
-    A state that is consistent to rounding stays what it is, so that runs continue from it.
-
-    Args:
-        system: The system.
-        x: Any finite state of the integrated coordinates.
-
-    Raises:
-        SolveError: There is none near it; names the worst row and its residual.
+    Attributes:
+        position: Largest |g| [m or rad].
+        velocity: Largest |g'| [m/s or rad/s].
     """
+
+    position: float
+    velocity: float
+
+
+def violation(system: System, x: State) -> Violation:
+    """How far a state of the integrated coordinates violates the bilateral rows."""
     held = system.held
-    if not held.rows or _is_consistent(system, x):
-        return x
-    q = _nearest_configuration(system, x) if system.rows else x.q
-    J, rate = held.jacobian(x.t, q), held.rate(x.t, q)
-    v, factor = x.v, held.factor_at(x.t, q)
-    for _ in range(_VELOCITY_CORRECTIONS):  # redundant rows leave some of the first one's error
-        v = _consistent_velocity(v, J, rate, factor)
-        left = J.dot(v) + rate
-        if float(np.abs(left).max()) <= ON_MANIFOLD * (1.0 + _speed(system, J, v)):
-            break
-    worst = int(np.argmax(np.abs(left)))
-    if not abs(left[worst]) <= ASSEMBLED * (1.0 + _speed(system, J, x.v)):
-        raise SolveError(
-            f"no consistent velocity: row {held.rows[worst].name} keeps a rate of "
-            f"{left[worst]:.3g} per second; it contradicts the other rows"
-        )
-    return x._replace(q=q, v=v)
-
-
-def _speed(system: System, J: Array, v: Array) -> float:
-    """Largest velocity [m/s or rad/s]; free bodies that no row touches do not count."""
-    if system.robot.bases:
-        v = v[J.any(axis=0)]
-    return float(np.abs(v).max(initial=0.0))
-
-
-def _is_consistent(system: System, x: State) -> bool:
-    off = violation(system, x)
-    fastest = _speed(system, system.held.jacobian(x.t, x.q), x.v)
-    return off.position <= ON_MANIFOLD and off.velocity <= ON_MANIFOLD * (1.0 + fastest)
-
-
-def _nearest_configuration(system: System, x: State) -> Array:
-    """Downhill in the distance to the start, along the manifold, after Newton landed on it."""
-    M = system.mass(x.q).dense
-    landed, step = _closed(system, x.t, x.q, M), 1.0
-    if landed is None:
-        raise _not_assembled(system, x)
-    q = landed
-    away = system.chart.difference(x.q, q)
-    for _ in range(_MAX_ITERATIONS):
-        J = system.jacobian(x.t, q)
-        factor = RowFactor(M, J)
-        downhill = factor.motion(J.dot(away)) - away
-        if np.abs(downhill).max() <= NEAREST or step < _SMALLEST_STEP:
-            break
-        nearer = _closed(system, x.t, system.chart.integrate(q, step * downhill), M)
-        if nearer is not None:
-            there = system.chart.difference(x.q, nearer)
-            if there.dot(M.dot(there)) < away.dot(M.dot(away)):
-                q, away = nearer, there
-                continue
-        step *= 0.5
-    return q
-
-
-def _closed(system: System, t: float, start: Array, M: Array) -> Array | None:
-    """Newton's method with the shortest steps in the metric M; None if it does not close g."""
-    q = start
-    for _ in range(_MAX_ITERATIONS):
-        g = system.residual(t, q)
-        worst = float(np.abs(g).max())
-        if worst <= LANDED:
-            return q
-        factor = RowFactor(M, system.jacobian(t, q))
-        dq = -factor.motion(g)
-        largest = float(np.abs(dq).max())
-        if not largest > LANDED:
-            break
-        q = system.chart.integrate(q, dq * min(1.0, BRANCH_STEP / largest))
-    return q if float(np.abs(system.residual(t, q)).max()) <= ASSEMBLED else None
-
-
-def _not_assembled(system: System, x: State) -> SolveError:
-    g = np.abs(system.residual(x.t, x.q))
-    row = system.rows[int(np.argmax(g))]
-    return SolveError(
-        f"the mechanism cannot be assembled near this position: row {row.name} is "
-        f"{g.max():.3g} m or rad open and does not close; move the initial positions, or look for "
-        "constraints that contradict one another"
-    )
-
-
-def _consistent_velocity(v: Array, J: Array, rate: Array, factor: RowFactor) -> Array:
-    return v - factor.motion(J.dot(v) + rate)
-
-
-# ---- stabilization ----------------------------------------------------------------------------
-# Contract of stabilizations, which keep a simulation on its constraints.
+    if not held.rows:
+        return Violation(0.0, 0.0)
+    g = held.residual(x.t, x.q)
+    rate = held.jacobian(x.t, x.q).dot(x.v) + held.rate(x.t, x.q)
+    return Violation(float(np.abs(g).max()), float(np.abs(rate).max()))
 
 
 class Stabilization:

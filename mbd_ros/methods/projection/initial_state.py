@@ -1,18 +1,22 @@
-"""Bodies of contacts that overlap at the start: refused by name, or lifted out of one another.
+"""The initial state of a motion: assembled, and without bodies that overlap at contacts.
+
+Bodies that overlap are refused by name, or lifted out of one another by the least displacement d
+in the mass metric,
 
     min |d|_M   subject to   g + J (d - d_k) >= 0 of every gap,   J_b (d - d_k) = 0 of the others
 
-again and again, from the way d_k of the last time, since gaps bend. Source: J. J. Moreau,
-Quadratic programming in mechanics: dynamics of one-sided constraints, SIAM J. Control 4, 1966.
+which is solved repeatedly, linearised at the last displacement d_k, since gaps are not linear.
+Source: J. J. Moreau, Quadratic programming in mechanics: dynamics of one-sided constraints,
+SIAM J. Control 4, 1966.
 """
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.complementarity.bounded_rows import PushImpulses
+from mbd_ros.core.dynamics.mass import check_mass
 from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism, RigidRows
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.geometry.contact_pair import distance_to_mass
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock
@@ -25,8 +29,30 @@ _LIFTED = 1.0e-12  # of the same: how deep one may be that is lifted out
 _NEAR = 10.0  # of the deepest overlap: gaps that count beside it
 _PLACED = 1.0e-14  # of the largest coordinate: what rounding leaves of a place
 _STILL = 1.0e-9  # of the size: a move after which none is left
-_MOVES, _LISTED = 100, 4
-_LONGEST = 0.5  # rad or m, of one of them
+_MOVES = 100  # until bodies are apart
+_LONGEST = 0.5  # rad or m, of one of these moves
+_LISTED = 4  # features in an error message
+
+
+def consistent_start(system: System, x: State) -> State:
+    """The nearest state of the integrated coordinates with which a motion can begin.
+
+    Args:
+        system: The system.
+        x: State of all joints.
+
+    Raises:
+        SolveError: The mechanism cannot be assembled near it, its mass matrix is singular, or
+            bodies of contacts overlap.
+    """
+    y = system.reduce(x)
+    check_mass(system, y.q)
+    if system.held.rows:
+        assembled = assemble(system, y)
+        if assembled is not y:
+            check_mass(system, assembled.q)
+        y = assembled
+    return without_overlap(system, y) if system.layout.cones else y
 
 
 def without_overlap(system: System, y: State) -> State:
@@ -40,6 +66,10 @@ def without_overlap(system: System, y: State) -> State:
         SolveError: Bodies overlap, and their contact does not say `assemble: true`, or nothing
             moves them apart; names contact, bodies, features and depth.
     """
+    from mbd_ros.core.geometry.contact_pair import (
+        distance_to_mass,
+    )  # only where there are contacts
+
     blocks = system.layout.having(Kind.CONE)
     parts = [(block, block.part) for block in blocks if hasattr(block.part, "pair")]
     k, x = Kinematics(system.robot), system.expand(y)

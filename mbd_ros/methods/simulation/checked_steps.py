@@ -16,7 +16,8 @@ from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DivergedError, ModelError, SolveError
 from mbd_ros.methods.integration.linear_motion import linear_motion
 from mbd_ros.methods.integration.stepping import BlockStepper, Integrator, Stepper
-from mbd_ros.methods.projection.assembly import Stabilization, consistent
+from mbd_ros.methods.projection.assembly import Stabilization
+from mbd_ros.methods.projection.initial_state import consistent_start
 
 if TYPE_CHECKING:
     from mbd_ros.core.complementarity.contact_problem import Residuals
@@ -337,7 +338,7 @@ class CheckedSteps:
         """The nearest consistent state; that of the last start where it began from here, too."""
         if self._began is not None and is_same(x, self._began[0]):
             return self._began[1]
-        y = consistent(during(self.system, x), x)
+        y = consistent_start(during(self.system, x), x)
         self._began = x, y
         return y
 

@@ -370,7 +370,7 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
 def _apart(system: System, y: State) -> State:
     if not system.layout.cones:
         return y
-    from mbd_ros.methods.projection.overlap import without_overlap
+    from mbd_ros.methods.projection.initial_state import without_overlap
 
     return without_overlap(system, y)
 
