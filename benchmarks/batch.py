@@ -21,12 +21,12 @@ import numpy as np
 from compiled import SCENES
 from mujoco import rollout
 
+from mbd_ros.api import load_scene
 from mbd_ros.applications.report.peers.mujoco_peer import MujocoRun
 from mbd_ros.applications.report.peers.translation import common_ground, task_of
 from mbd_ros.compiled.runs import lane_method
 from mbd_ros.core.state import Array
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.batch import Batch
 
 RUNS, DURATION, SAMPLE, ROUNDS = 64, 1.0, 1e-2, 3

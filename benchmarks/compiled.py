@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.api import load_scene
 from mbd_ros.applications.report.peers.mujoco_peer import MujocoRun
 from mbd_ros.applications.report.peers.translation import common_ground, task_of
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
@@ -25,7 +26,6 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import MbdError
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
 
 SCENES = "package://mbd_ros/config/scenes/benchmark"

@@ -21,7 +21,7 @@ from scenes_of_comparison import COSTS, EMBEDDED, PLANTED
 
 from mbd_ros.core.state import State
 
-_LOADERS = ("mbd_ros.scene.reader:load_scene", "mbd_ros.scene:load_scene")  # where commits have it
+_LOADERS = ("mbd_ros.api:load_scene", "mbd_ros.scene:load_scene")  # where commits have it
 RENAMED = (  # columns: the old name, the new one; equal where what stands in brackets is equal
     (r".+-(.+)\.([xyz])\.multiplier", r"(.+)_loop_closure\.force_([xyz])"),
     (r".+-(.+)\.r([xyz])\.multiplier", r"(.+)_loop_closure\.torque_([xyz])"),

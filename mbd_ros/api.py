@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.features.control.job import follow
@@ -24,15 +24,15 @@ from mbd_ros.features.sampling.job import sample
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.table import read_result as read_result
 from mbd_ros.scene import built_scene, from_python, reader
-from mbd_ros.scene.reading.building import Origin
+from mbd_ros.scene.describe.scene_summary import Lines, scene_html, scene_text
+from mbd_ros.scene.origin import Origin
+from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.schema.code_permission import permitting
+from mbd_ros.scene.variants import with_inertias, with_numbers, with_sections
 
-
-class Lines(str):
-    """A text that a notebook shows line by line."""
-
-    def __repr__(self) -> str:
-        return str(self)
+if TYPE_CHECKING:
+    from mbd_ros.core.dynamics.phased_system import PhasedSystem
+    from mbd_ros.scene.runs.batch import Batch
 
 
 class Scene(built_scene.Scene):
@@ -60,13 +60,14 @@ class Scene(built_scene.Scene):
         """The same scene with the jobs as methods."""
         return cls(*(getattr(scene, field.name) for field in fields(scene) if field.init))
 
-    def check(self) -> Lines:
-        """The lines of `mbd-ros check`: parts that are built and left out, and the cost of a call.
+    simulation = build_simulation
+    with_inertias = with_inertias
 
-        Raises:
-            MbdError: The scene has no consistent start.
-        """
-        return Lines(super().check())
+    def phased_system(self, *arguments: Any, **options: Any) -> "PhasedSystem":
+        """The systems of all phases, behind one; arguments and errors as for `system`."""
+        from mbd_ros.scene.phased_systems import build_phased_system
+
+        return build_phased_system(self, *arguments, **options)
 
     def with_(self, numbers: Mapping[str, Any] | None = None, /, **sections: Any) -> "Scene":
         """The scene with other sections and other numbers, built as far as they change it.
@@ -80,17 +81,38 @@ class Scene(built_scene.Scene):
         Raises:
             SceneError: Names key, what is wrong and what is accepted.
         """
-        return Scene.of(super().with_(numbers, **sections))
+        scene = with_sections(self, **sections) if sections or not numbers else self
+        return with_numbers(scene, numbers) if numbers else scene
 
-    def with_inertias(self, inertias: Mapping[str, Any]) -> "Scene":
-        """The scene with other inertias of some links.
+    def batch(self, count: int, **options: Any) -> "Batch":
+        """Many runs side by side, from other starts and with other numbers.
 
-        `core.model.robot_reader.with_inertias` describes the argument.
+        Args:
+            count: How many.
+            **options: As for `Batch`.
 
         Raises:
-            SceneError: Names link, value and condition.
+            SceneError: Names what is wrong and what is accepted.
         """
-        return Scene.of(super().with_inertias(inertias))
+        from mbd_ros.scene.runs.batch import Batch
+
+        return Batch(self, count, **options)
+
+    def check(self) -> Lines:
+        """The lines of `mbd-ros check`: parts that are built and left out, and the cost of a call.
+
+        Raises:
+            MbdError: The scene has no consistent start.
+        """
+        from mbd_ros.scene.describe.check import describe
+
+        return Lines("\n".join(describe(self)))
+
+    def __repr__(self) -> str:
+        return scene_text(self)
+
+    def _repr_html_(self) -> str:
+        return scene_html(self)
 
 
 def load_scene(path: str | Path, *, allow_code: bool = False) -> Any:

@@ -5,7 +5,9 @@ from typing import Any
 from mbd_ros.features.dirac_brackets.job import bracket
 from mbd_ros.features.sampling.job import sample
 from mbd_ros.features.simulation.particles import simulate
+from mbd_ros.scene.describe.scene_summary import Lines
 from mbd_ros.scene.particles import particle_scene
+from mbd_ros.scene.variants import with_sections
 
 
 class ParticleScene(particle_scene.ParticleScene):
@@ -26,4 +28,14 @@ class ParticleScene(particle_scene.ParticleScene):
         Raises:
             SceneError: Names key, what is wrong and what is accepted.
         """
-        return ParticleScene.of(super().with_(**sections))
+        return with_sections(self, **sections)
+
+    def check(self) -> Lines:
+        """The lines of `mbd-ros check`.
+
+        Raises:
+            MbdError: The scene has no start from which it can move.
+        """
+        from mbd_ros.scene.describe.particles import describe
+
+        return Lines("\n".join(describe(self)))

@@ -17,6 +17,7 @@ from mbd_ros.files.table import Result, read_result
 from mbd_ros.motion.columns import axes_matrix
 from mbd_ros.motion.recordings import Source, name_of, read_wrenches
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.variants import with_sections
 
 # ---- external loads ---------------------------------------------------------------------------
 # External loads as a laboratory writes them, beside a motion: `--external LOADS.xml`.
@@ -44,8 +45,8 @@ class ExternalLoads:
         self._path, self._loads = path, read_external_loads(path)
         told = (f"{load.source}: {text}" for load in self._loads for text in load.remarks)
         self.remarks = list(dict.fromkeys(told))
-        self.scene = scene.with_(
-            external_wrenches={load.name: _entry(scene, path, load) for load in self._loads}
+        self.scene = with_sections(
+            scene, external_wrenches={load.name: _entry(scene, path, load) for load in self._loads}
         )
 
     def at(self, stamps: NDArray[np.int64]) -> list[Array]:

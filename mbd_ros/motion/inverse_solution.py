@@ -36,6 +36,7 @@ from mbd_ros.motion.columns import (
 from mbd_ros.motion.recordings import name_of
 from mbd_ros.motion.samples import Observed, Task, loads_of_laboratory, observe_motion
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reading.coupling_entries import coupling_kinds
 
 if TYPE_CHECKING:
     from mbd_ros.methods.inverse_dynamics.force_split import Wish
@@ -269,7 +270,7 @@ class Violations:
         """A line for each joint."""
         for name, off in zip(self._scene.couplings.dependent, self._off, strict=True):
             if np.isnan(off):
-                yield f"{name} is reconstructed from {self._scene.coupling_kinds[name]}"
+                yield f"{name} is reconstructed from {coupling_kinds(self._scene)[name]}"
             else:
                 yield f"{name} is off its coupling by at most {off:.3g}"
 

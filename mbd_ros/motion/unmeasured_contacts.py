@@ -29,8 +29,7 @@ from mbd_ros.methods.inverse_dynamics.standing import Nearness
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, Observations
 from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion
 from mbd_ros.motion.samples import Observed
-from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.reading.part_entries import MeasuredWrench
+from mbd_ros.scene.built_scene import MeasuredWrench, Scene
 
 # ---- unmeasured contacts ----------------------------------------------------------------------
 # Contacts whose forces nobody measured: unknowns of inverse dynamics.

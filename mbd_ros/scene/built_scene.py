@@ -1,44 +1,286 @@
-"""A built scene, and the systems and simulations that it makes."""
-
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any
-
-from mbd_ros.core.contracts import Load
-from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.dynamics.tiers import build_system
-from mbd_ros.core.loads.inputs import Source
-from mbd_ros.core.loads.loads import Loads
-from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.methods.integration.stepping import Integrator
-from mbd_ros.methods.simulation.simulation import Simulation
-from mbd_ros.scene.reading.building import parts_in
-from mbd_ros.scene.reading.part_entries import Solver, build_part
-from mbd_ros.scene.schema import schema
-
-if TYPE_CHECKING:
-    from mbd_ros.core.dynamics.phased_system import PhasedSystem
-    from mbd_ros.scene.runs.batch import Batch
+"""A built scene: its entries, its parts, its robot, and the equations of motion they make."""
 
 import math
-from collections.abc import Collection
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from mbd_ros.core.contracts import Actuator, Load
 from mbd_ros.core.dynamics.mass import check_mass_anywhere
-from mbd_ros.core.rows.constraint import Kind
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.dynamics.tiers import TIERS, build_system
+from mbd_ros.core.loads.external_loads import ExternalWrench
+from mbd_ros.core.loads.inputs import Inputs, Source, bound
+from mbd_ros.core.loads.internal_states import Internals
+from mbd_ros.core.loads.loads import Loads
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.core.optimization.qp_solvers import check_backend
+from mbd_ros.core.rows.constraint import Constraint, Kind
 from mbd_ros.core.rows.constraint_rows import rigid
-from mbd_ros.errors import SolveError
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import ModelError, SceneError, SolveError
 from mbd_ros.methods.control.contract import ControlledJoints
+from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics, ObservedLoops
 from mbd_ros.methods.inverse_dynamics.efforts import joint_efforts
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics, SampleSolver
 from mbd_ros.methods.inverse_dynamics.standing import Nearness, carriers
-from mbd_ros.scene.scene_parts import SceneParts
+from mbd_ros.methods.projection.assembly import Stabilization
+from mbd_ros.methods.simulation.live_simulation import SafeCommand
+from mbd_ros.scene.origin import Origin
+from mbd_ros.scene.phase_plans import PhasePlan
+from mbd_ros.scene.schema import schema
+from mbd_ros.scene.schema.sections import Section, parts_in
 
-# What a scene makes for motion that is measured: solvers for efforts, and joints to control.
+if TYPE_CHECKING:
+    from mbd_ros.core.contracts import Sensor
+    from mbd_ros.core.muscles.muscle import Muscle
+
+SOLVERS = (*TIERS, "plain", "compiled")
+NO_SOURCES: Mapping[str, Source] = {}
 
 
-class MeasuredScene(SceneParts):
-    """The parts of a scene, and what they make where its motion is measured."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Scene:
+    """The built parts of a scene, and the equations of motion that they make.
+
+    Attributes:
+        origin: The file, or what else its sections came from.
+        robot: The robot, with the inertia of its drives.
+        parts: The built sections, by key; the robot there is without its drives.
+        entries: The sections as given, by key.
+        sections: Lines of the table, those of other packages included.
+        code: Key -> `package.module:Class` of what was imported from outside this package.
+        inputs: What parts take from outside while they run: u.
+        internals: States of parts of their own: z.
+    """
+
+    origin: Origin
+    robot: Robot
+    parts: Mapping[str, Any]
+    entries: Mapping[str, Any]
+    sections: tuple[Section, ...]
+    code: Mapping[str, str]
+    inputs: Inputs = field(init=False)
+    internals: Internals = field(init=False)
+    _initial_internals: Array = field(init=False)
+
+    def __post_init__(self) -> None:
+        parts, inputs = bind_inputs(self.sections, self.parts)
+        object.__setattr__(self, "parts", parts)
+        object.__setattr__(self, "inputs", inputs)
+        built = (
+            (section, parts[section.key]) for section in self.sections if section.key in parts
+        )
+        every = (part for section, given in built for part in parts_in(section, given))
+        holders = [part for part in every if getattr(part, "internal", ())]
+        object.__setattr__(self, "internals", Internals(holders))
+        given = self.entries.get("initial") or {}
+        z = first_values(self.internals, given.get("internal"), f"{self.name}: initial")
+        object.__setattr__(self, "_initial_internals", z)
+
+    @property
+    def path(self) -> Path | None:
+        """The file; None for a scene that Python made."""
+        return self.origin.path
+
+    @property
+    def name(self) -> str:
+        """The file as messages call it, `scene` without one."""
+        return self.origin.name
+
+    @property
+    def source(self) -> str:
+        """File or topic of the robot description."""
+        return self.robot.source
+
+    @property
+    def couplings(self) -> Couplings:
+        """Its dependent joints."""
+        couplings: Couplings = self.parts["couplings"]
+        return couplings
+
+    @property
+    def wrenches(self) -> "Mapping[str, MeasuredWrench]":
+        """External loads by name."""
+        return self.parts.get("external_wrenches", {})
+
+    @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """Constraints besides the couplings, of all sections."""
+        return self._offering("residual")
+
+    @property
+    def forces(self) -> tuple[Load, ...]:
+        """Loads that nobody commands, of all sections."""
+        return tuple(part for part in self._offering("force") if not hasattr(part, "command"))
+
+    @property
+    def acting(self) -> tuple[Load, ...]:
+        """Those of the forces that act by themselves: nobody gives them an input."""
+        return tuple(force for force in self.forces if not force.inputs)
+
+    @property
+    def muscles(self) -> "tuple[Muscle, ...]":
+        """Muscles, in the order of their excitations."""
+        return self._offering("active_force")
+
+    @property
+    def actuators(self) -> tuple[Actuator, ...]:
+        """Actuators, in the order of their commands."""
+        return self._offering("command")
+
+    @property
+    def sensors(self) -> "tuple[Sensor, ...]":
+        """What is measured, of all sections."""
+        return self._offering("measure")
+
+    @property
+    def commanded(self) -> tuple[Actuator, ...]:
+        """Actuators, then muscles: the parts whose inputs are commands."""
+        return (*self.actuators, *self.muscles)
+
+    @property
+    def phases(self) -> Mapping[str, PhasePlan]:
+        """Phases of the motion by name, empty where it has none."""
+        return self.parts.get("phases", {})
+
+    @property
+    def stabilization(self) -> Stabilization | None:
+        """Stabilization of the constraints; None leaves the choice to `build_simulation`."""
+        return self.parts.get("stabilization")
+
+    @property
+    def solver(self) -> "Solver":
+        """How the equations are solved."""
+        solver: Solver = self.parts["solver"]
+        return solver
+
+    @property
+    def integrator(self) -> Integrator | None:
+        """Method; None leaves the choice to `build_simulation`."""
+        return self.parts.get("integrator")
+
+    @property
+    def integrator_entry(self) -> Mapping[str, Any]:
+        """The entry of the file, empty without one."""
+        return self.entries.get("integrator", {})
+
+    @property
+    def dt(self) -> float:
+        """Step [s]."""
+        dt: float = self.parts["dt"]
+        return dt
+
+    @property
+    def initial(self) -> State:
+        """State of all joints at the start as the file gives it, NaN where z is left open."""
+        initial: State = self.parts["initial"]
+        return initial if len(initial.z) else initial._replace(z=self._initial_internals)
+
+    @property
+    def safe(self) -> SafeCommand:
+        """The safe command of the actuators."""
+        safe: SafeCommand = self.parts["safe"]
+        return safe
+
+    @property
+    def absent(self) -> tuple[str, ...]:
+        """Sections that the file leaves out; gravity acts without one."""
+        keys = (section.key for section in self.sections if section.key != "gravity")
+        return tuple(key for key in keys if not self.entries.get(key))
+
+    def _offering(self, method: str) -> tuple[Any, ...]:
+        """Parts of all sections whose parts have a method, in the order of the table."""
+        return tuple(
+            part
+            for section in self.sections
+            if method in " or ".join(section.offers).split(" or ") and section.key in self.parts
+            for part in parts_in(section, self.parts[section.key])
+            if hasattr(part, method)
+        )
+
+    @property
+    def has_loops(self) -> bool:
+        """Whether bilateral constraints act besides the couplings."""
+        return any(part.law.is_rigid for part in self.constraints)
+
+    @property
+    def unmeasured(self) -> tuple[str, ...]:
+        """Parts with states that no measured motion shows, besides actuators."""
+        return tuple(part.name for part in (*self.forces, *self.constraints) if part.internal)
+
+    @property
+    def actuated(self) -> tuple[str, ...]:
+        """Joints with an actuator; without any, all independent ones that no drive moves."""
+        if self.actuators:
+            return tuple(dict.fromkeys(name for part in self.actuators for name in part.joints))
+        driven = {name for part in self.constraints for name in part.driven}
+        return tuple(name for name in self.couplings.independent if name not in driven)
+
+    def holding(self, **parts: Any) -> "Scene":
+        """A copy that holds other built parts, from objects rather than entries.
+
+        Args:
+            **parts: By key of their section, such as `forces=(*scene.forces, part)`.
+        """
+        return replace(self, parts={**self.parts, **parts})
+
+    def without(self, keys: Iterable[str]) -> "Scene":
+        """A copy without what some sections built, and without first values of its states."""
+        keys = [key for key in keys if key in self.parts]
+        parts = {key: part for key, part in self.parts.items() if key not in keys}
+        initial = self.entries.get("initial") or {}
+        if not initial.get("internal"):
+            return replace(self, parts=parts)
+        built = [(s, self.parts[s.key]) for s in self.sections if s.key in keys]
+        gone = {part.name for section, given in built for part in parts_in(section, given)}
+        values = {n: z for n, z in initial["internal"].items() if n.partition(".")[0] not in gone}
+        entries = {**self.entries, "initial": {**initial, "internal": values}}
+        return replace(self, parts=parts, entries=entries)
+
+    def system(
+        self,
+        forces: Sequence[Load] = (),
+        solver: Mapping[str, str] | None = None,
+        sources: Mapping[str, Source] = NO_SOURCES,
+    ) -> System:
+        """Forward dynamics with its own Pinocchio data.
+
+        Args:
+            forces: Force terms besides those of the scene.
+            solver: Entry that replaces that of the scene.
+            sources: What gives the inputs of parts, by name of the part.
+
+        Raises:
+            SceneError: The tier cannot serve the scene, or a package is missing.
+        """
+        where = f"{self.name}: solver"
+        chosen = self.chosen_solver(solver)
+        try:
+            loads = self.system_loads(forces, sources)
+            return build_system(
+                self.robot, self.couplings, self.constraints, loads, chosen.tier, chosen.backend
+            )
+        except ModelError as error:
+            raise SceneError(f"{where}: {error}") from error
+
+    def system_loads(self, forces: Sequence[Load], sources: Mapping[str, Source]) -> Loads:
+        """Everything that acts on its joints; arguments as for `system`."""
+        every = (*self.forces, *forces, *self.wrenches.values())
+        given = self.inputs.sources(sources)
+        return Loads(self.robot.model.nv, every, self.commanded, given)
+
+    def chosen_solver(self, entry: Mapping[str, str] | None) -> "Solver":
+        """The solver of an entry; without one that of the scene."""
+        if entry is None:
+            return self.solver
+        solver: Solver = schema.call(Solver, dict(entry), f"{self.name}: solver")
+        return solver
 
     def inverse_dynamics(
         self,
@@ -160,210 +402,109 @@ class MeasuredScene(SceneParts):
         return limits
 
 
-DEFAULT_INTEGRATOR = {"type": "dopri5"}
-DEFAULT_STABLE = 1.3  # its `stable`, known without importing it
-_TIME_STEPPING = {"type": "moreau_jean"}
-_ADAPTIVE = {"type": "dopri5", "tolerance": 1.0e-8}  # fibres beside a tendon are stiff
-Tell = Callable[[str], None]
-_NO_SOURCES: Mapping[str, Source] = {}
+@dataclass(frozen=True)
+class Solver:
+    """The `solver` section.
 
+    Attributes:
+        type: A tier of `mbd_ros.core.dynamics.tiers`; or the cheapest one that serves, and how
+            its steps run: `plain`, `compiled`, or `auto`, compiled where they can be.
+        backend: Solver of the QP: proxqp, or one that qpsolvers knows.
+    """
 
-class Scene(MeasuredScene):
-    """A built scene, which makes systems, solvers and simulations."""
+    type: str = "plain"
+    backend: str = "proxqp"
 
-    def with_(self, numbers: Mapping[str, Any] | None = None, /, **sections: Any) -> "Scene":
-        """The scene with other sections and other numbers, built as far as they change it.
-
-        Args:
-            numbers: Numbers by `<name of a part>.<argument>`, such as
-                `ankle_joint_spring.stiffness`; lists of numbers too. A section of one entry, such
-                as `integrator` or `initial`, goes by its key.
-            **sections: As `scene_from` takes them; None removes a section.
-
-        Raises:
-            SceneError: Names key, what is wrong and what is accepted.
-        """
-        from mbd_ros.scene.from_python import with_sections
-        from mbd_ros.scene.numbers import with_numbers
-
-        scene = with_sections(self, sections) if sections or not numbers else self
-        return with_numbers(scene, numbers) if numbers else scene
-
-    def with_inertias(self, inertias: Mapping[str, Any]) -> "Scene":
-        """The scene with other inertias of some links.
-
-        `core.model.robot_reader.with_inertias` describes the argument.
-
-        Raises:
-            SceneError: Names link, value and condition.
-        """
-        from mbd_ros.scene.from_python import with_inertias
-
-        return with_inertias(self, inertias)
-
-    def check(self) -> str:
-        """The lines of `mbd-ros check`: parts that are built and left out, and the cost of a call.
-
-        Raises:
-            MbdError: The scene has no consistent start.
-        """
-        from mbd_ros.scene.describe.check import describe
-
-        return "\n".join(describe(self))
-
-    def holding(self, **parts: Any) -> "Scene":
-        """A copy that holds other built parts, from objects rather than entries.
-
-        Args:
-            **parts: By key of their section, such as `forces=(*scene.forces, part)`.
-        """
-        return replace(self, parts={**self.parts, **parts})
-
-    def without(self, keys: Iterable[str]) -> "Scene":
-        """A copy without what some sections built, and without first values of its states."""
-        keys = [key for key in keys if key in self.parts]
-        parts = {key: part for key, part in self.parts.items() if key not in keys}
-        initial = self.entries.get("initial") or {}
-        if not initial.get("internal"):
-            return replace(self, parts=parts)
-        built = [(s, self.parts[s.key]) for s in self.sections if s.key in keys]
-        gone = {part.name for section, given in built for part in parts_in(section, given)}
-        values = {n: z for n, z in initial["internal"].items() if n.partition(".")[0] not in gone}
-        entries = {**self.entries, "initial": {**initial, "internal": values}}
-        return replace(self, parts=parts, entries=entries)
-
-    def system(
-        self,
-        forces: Sequence[Load] = (),
-        solver: Mapping[str, str] | None = None,
-        sources: Mapping[str, Source] = _NO_SOURCES,
-    ) -> System:
-        """Forward dynamics with its own Pinocchio data.
-
-        Args:
-            forces: Force terms besides those of the scene.
-            solver: Entry that replaces that of the scene.
-            sources: What gives the inputs of parts, by name of the part.
-
-        Raises:
-            SceneError: The tier cannot serve the scene, or a package is missing.
-        """
-        where = f"{self.name}: solver"
-        chosen = self.chosen_solver(solver)
-        try:
-            loads = self._loads(forces, sources)
-            return build_system(
-                self.robot, self.couplings, self.constraints, loads, chosen.tier, chosen.backend
-            )
-        except ModelError as error:
-            raise SceneError(f"{where}: {error}") from error
-
-    def phased_system(
-        self,
-        forces: Sequence[Load] = (),
-        solver: Mapping[str, str] | None = None,
-        sources: Mapping[str, Source] = _NO_SOURCES,
-    ) -> "PhasedSystem":
-        """The systems of all phases, behind one; arguments and errors as for `system`."""
-        from mbd_ros.scene.phased_systems import phased_system
-
-        return phased_system(self, self._loads(forces, sources), self.chosen_solver(solver))
-
-    def _loads(self, forces: Sequence[Load], sources: Mapping[str, Source]) -> Loads:
-        every = (*self.forces, *forces, *self.wrenches.values())
-        given = self.inputs.sources(sources)
-        return Loads(self.robot.model.nv, every, self.commanded, given)
-
-    def chosen_solver(self, entry: Mapping[str, str] | None) -> Solver:
-        """The solver of an entry; without one that of the scene."""
-        if entry is None:
-            return self.solver
-        solver: Solver = schema.call(Solver, dict(entry), f"{self.name}: solver")
-        return solver
-
-    def batch(self, count: int, **options: Any) -> "Batch":
-        """Many runs side by side, from other starts and with other numbers.
-
-        Args:
-            count: How many.
-            **options: As for `Batch`.
-
-        Raises:
-            SceneError: Names what is wrong and what is accepted.
-        """
-        from mbd_ros.scene.runs.batch import Batch
-
-        return Batch(self, count, **options)
+    def __post_init__(self) -> None:
+        if self.type not in SOLVERS:
+            raise ModelError(f"unknown solver type '{self.type}', accepted: {', '.join(SOLVERS)}")
+        check_backend(self.backend)
 
     @property
-    def default_integrator(self) -> Mapping[str, Any]:
-        """Entry of the method where the file names none.
-
-        No events where gaps are not smooth; adaptive steps beside elastic tendons.
-        """
-        pairs = (part.pair for part in self.constraints if hasattr(part, "pair"))
-        if not all(p.is_smooth for p in pairs):
-            return _TIME_STEPPING
-        return _ADAPTIVE if any(part.is_elastic for part in self.muscles) else DEFAULT_INTEGRATOR
+    def tier(self) -> str:
+        """The tier that is asked for; `auto` for the cheapest one that serves."""
+        return self.type if self.type in TIERS else "auto"
 
     @property
-    def method(self) -> Integrator:
-        """The integrator of the file, or that of `default_integrator`."""
-        if self.integrator is not None:
-            return self.integrator
-        method: Integrator = build_part("integrators", self.default_integrator, self.name)
-        return method
+    def compiles(self) -> bool:
+        """Whether steps are compiled where they can be."""
+        return self.type in ("auto", "compiled")
 
-    def simulation(
-        self,
-        *,
-        integrator: Mapping[str, Any] | None = None,
-        dt: float | None = None,
-        stabilization: Mapping[str, Any] | None = None,
-        solver: Mapping[str, str] | None = None,
-        forces: Sequence[Load] = (),
-        sources: Mapping[str, Source] = _NO_SOURCES,
-        tell: Tell | None = None,
-    ) -> Simulation:
-        """A simulation with its own Pinocchio data.
+    @property
+    def must_compile(self) -> bool:
+        """Whether it is an error where they cannot be."""
+        return self.type == "compiled"
 
-        Args:
-            integrator: Entry that replaces that of the scene.
-            dt: Step that replaces that of the scene [s].
-            stabilization: Entry that replaces that of the scene.
-            solver: Entry that replaces that of the scene.
-            forces: Force terms besides those of the scene.
-            sources: What gives the inputs of parts, by name of the part.
-            tell: Is told what takes time while steps are compiled.
 
-        Raises:
-            SceneError: Names file and key.
-        """
-        build = self.phased_system if self.phases else self.system
-        system: System = build(forces, solver, sources)
-        correction = self.stabilization
-        if integrator is None:
-            method = self.method
+class MeasuredWrench(ExternalWrench):
+    """An external load and the topic that carries it; None stands for `~/wrench/<name>`."""
+
+    topic: str | None = None
+
+    @property
+    def heard_on(self) -> str:
+        """The topic that carries it."""
+        return self.topic or f"~/wrench/{self.name}"
+
+
+def bind_inputs(
+    sections: Sequence[Section], parts: Mapping[str, Any]
+) -> tuple[dict[str, Any], Inputs]:
+    """Built sections whose parts know where their inputs and states stand, and all inputs.
+
+    Actuators come first, in their order, then the others in the order of the table.
+
+    Args:
+        sections: The table.
+        parts: Built sections by key.
+    """
+    built = [(s, parts[s.key]) for s in sections if s.key in parts]
+    every = [part for section, given in built for part in parts_in(section, given)]
+    takers = [p for p in every if getattr(p, "inputs", ()) or getattr(p, "internal", ())]
+    takers.sort(key=lambda part: not hasattr(part, "command"))  # stable
+    after, inputs = bound(takers)
+    swapped = {id(a): b for a, b in zip(takers, after, strict=True) if a is not b}
+    if not swapped:
+        return dict(parts), inputs
+    return {key: _replaced(given, swapped) for key, given in parts.items()}, inputs
+
+
+def first_values(internals: Internals, given: Any, where: str) -> Array:
+    """Internal states at the start, NaN where nothing is given, shape (nz,).
+
+    Args:
+        internals: Of the scene.
+        given: Values by name, `<part>.<name>: 0.1` or `<part>: {<name>: 0.1}`; None for none.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    z = np.full(internals.nz, np.nan)
+    for name, value in _flat(given or {}):
+        if name not in internals.names:
+            accepted = ", ".join(internals.names) or "none, no part has internal states"
+            raise SceneError(f"{where}.internal: unknown '{name}', accepted: {accepted}")
+        z[internals.names.index(name)] = schema.value(value, float, f"{where}.internal.{name}")
+    try:
+        internals.completed(z)
+    except ModelError as error:
+        raise SceneError(f"{where}.internal: {error}") from error
+    return z
+
+
+def _flat(given: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """Names with dots, and values."""
+    for name, value in given.items():
+        if isinstance(value, Mapping):
+            yield from ((f"{name}.{rest}", one) for rest, one in _flat(value))
         else:
-            method = build_part("integrators", integrator, f"{self.name}: integrator")
-        if stabilization is not None or correction is None:
-            has_rows = bool(self.phases) or bool(system.held.rows)
-            given = stabilization or {"type": "projection" if has_rows else "none"}
-            correction = build_part("stabilization", given, f"{self.name}: stabilization")
-        try:
-            parts = system, method, correction, self.dt if dt is None else dt
-            chosen = self.chosen_solver(solver)
-            if self.phases and chosen.must_compile:
-                raise ModelError("solver: compiled does not serve phases; accepted: plain, auto")
-            if self.phases or not chosen.compiles:
-                simulation = Simulation(*parts)
-                if chosen.compiles:
-                    simulation.how = "not compiled: phases change what holds"
-                return simulation
-            from mbd_ros.scene.runs.compiling import compiled_simulation, kept_for
+            yield name, value
 
-            kept = None if forces else kept_for(self, chosen.backend)
-            wish = {"start": self.initial, "is_demanded": chosen.must_compile}
-            return compiled_simulation(*parts, tell=tell, kept=kept, **wish)
-        except ModelError as error:
-            raise SceneError(f"{self.name}: {error}") from error
+
+def _replaced(given: Any, swapped: Mapping[int, Any]) -> Any:
+    if type(given) in (tuple, list):
+        return tuple(swapped.get(id(part), part) for part in given)
+    if isinstance(given, dict):
+        return {name: swapped.get(id(part), part) for name, part in given.items()}
+    return swapped.get(id(given), given)

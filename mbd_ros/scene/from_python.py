@@ -2,21 +2,18 @@
 
 import inspect
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.model import robot_reader
-from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.origin import NO_FILE, Origin
 from mbd_ros.scene.reader import build_scene
-from mbd_ros.scene.reading.building import NO_FILE, Kept, Origin
-from mbd_ros.scene.schema.code_permission import code_of_others, is_permitted, permitting
 from mbd_ros.scene.schema.locate import find_file
 from mbd_ros.scene.schema.nearest import nearest
-from mbd_ros.scene.schema.sections import keys, ordered
 from mbd_ros.scene.schema.strict_yaml import MAX_DEPTH
 
 _LARGEST_INTEGER = 10**18  # what a scene file takes for a number
@@ -53,37 +50,6 @@ def scene_from(
             else:
                 given["robot"] = {**robot, "urdf": _robot_file(str(urdf))}
     return build_scene(Origin(description=description), given)
-
-
-def with_sections(scene: Scene, sections: Mapping[str, Any]) -> Scene:
-    """A scene with other sections; sections that do not come after them are kept.
-
-    Args:
-        scene: The scene.
-        sections: By key; None removes a section.
-
-    Raises:
-        SceneError: Names key, what is wrong and what is accepted.
-    """
-    origin = changed_origin(scene)
-    changes = plain(sections, origin.name)
-    entries = {**scene.entries, **changes}
-    entries = {key: entry for key, entry in entries.items() if entry is not None}
-    return rebuilt(scene, origin, entries, changes)
-
-
-def with_inertias(scene: Scene, inertias: Mapping[str, Any]) -> Scene:
-    """A scene whose robot has other inertias, as `robot_reader.with_inertias` takes them.
-
-    Raises:
-        SceneError: Names link, value and condition.
-    """
-    origin = changed_origin(scene)
-    try:
-        robot = robot_reader.with_inertias(scene.parts["robot"], inertias)
-    except ModelError as error:
-        raise SceneError(f"{origin.name}: robot: {error}") from error
-    return rebuilt(scene, origin, scene.entries, {"robot"}, Kept({"robot": robot}))
 
 
 def plain(value: Any, where: str, depth: int = 0) -> Any:
@@ -141,43 +107,3 @@ def _robot_file(name: str) -> str:
             f"{NO_FILE}: robot.urdf: '{name}' is no file, no URDF text and no embedded robot; "
             f"nearest: {', '.join(close)}"
         ) from error
-
-
-def changed_origin(scene: Scene) -> Origin:
-    """Where a scene comes from that is made of another one."""
-    old = scene.origin
-    title = old.title if old.path is None else f"{old.path} (changed)"
-    return old._replace(path=None, title=title, base=old.folder)
-
-
-def rebuilt(
-    scene: Scene,
-    origin: Origin,
-    entries: Mapping[str, Any],
-    changed: Iterable[str],
-    made: Kept = Kept(),  # noqa: B008, a constant
-    untouched: Sequence[str] = (),
-) -> Scene:
-    """The scene of other entries, without building again what they do not change.
-
-    Args:
-        scene: The scene.
-        origin: Of the new one.
-        entries: Of the new one.
-        changed: Keys of sections that are built again, and with them what comes after them.
-        made: What of those is built already.
-        untouched: Keys of sections that come after them and do not depend on what is changed.
-
-    Raises:
-        SceneError: Names key, what is wrong and what is accepted.
-    """
-    anew = set(changed)
-    for section in ordered(scene.sections):
-        if anew.intersection(section.after) and section.key not in untouched:
-            anew.add(section.key)
-    kept = {key: part for key, part in scene.parts.items() if key not in anew}
-    trusted = set(scene.code.values())  # was permitted when the scene was built
-    code = code_of_others(entries, tuple(key for key in entries if key in scene.code))
-    is_known = trusted.issuperset(code.values()) and set(entries) <= set(keys(scene.sections))
-    with permitting(is_permitted() or (bool(trusted) and is_known)):
-        return build_scene(origin, entries, Kept({**kept, **made.sections}, made.parts))

@@ -1,13 +1,15 @@
 """Phases by names -> a system a phase, with guards and resets."""
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
+from mbd_ros.core.loads.inputs import Source
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot import Robot
@@ -37,13 +39,10 @@ from mbd_ros.methods.events.phases import (
     PhaseReset,
     Relabelling,
 )
-from mbd_ros.scene.reading.phase_entries import GuardPlan, PhasePlan, ResetEntry, known
+from mbd_ros.scene.built_scene import NO_SOURCES, Scene, Solver
+from mbd_ros.scene.phase_plans import GuardPlan, PhasePlan, ResetEntry
+from mbd_ros.scene.reading.phase_entries import known
 from mbd_ros.scene.schema import schema
-
-if TYPE_CHECKING:
-    from mbd_ros.scene.reading.part_entries import Solver
-    from mbd_ros.scene.scene_parts import SceneParts
-
 
 # ---- phase exits ------------------------------------------------------------------------------
 # Guards of phases by names -> numbers whose zeros end a phase.
@@ -199,7 +198,7 @@ class PhaseExits:
 Sources = dict[str, dict[str, float]]
 
 
-def relabelling_of(scene: "SceneParts", entry: ResetEntry, where: str) -> Relabelling | None:
+def relabelling_of(scene: Scene, entry: ResetEntry, where: str) -> Relabelling | None:
     """The relabelling of a reset; None where everything keeps its name.
 
     Args:
@@ -269,24 +268,31 @@ def _swapped(joint: str, factor: NotZero = 1.0) -> tuple[str, float]:
     return joint, factor
 
 
-def phased_system(scene: "SceneParts", loads: Loads, solver: "Solver") -> PhasedSystem:
-    """The systems of all phases of a scene.
+def build_phased_system(
+    scene: Scene,
+    forces: Sequence[Load] = (),
+    solver: Mapping[str, str] | None = None,
+    sources: Mapping[str, Source] = NO_SOURCES,
+) -> PhasedSystem:
+    """The systems of all phases of a scene, behind one.
 
     Args:
         scene: A scene with a section `phases`.
-        loads: Everything that acts on its joints.
-        solver: How the equations are solved.
+        forces: Force terms besides those of the scene.
+        solver: Entry that replaces that of the scene.
+        sources: What gives the inputs of parts, by name of the part.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
     """
-    return _Systems(scene, loads, solver).build()
+    loads = scene.system_loads(forces, sources)
+    return _Systems(scene, loads, scene.chosen_solver(solver)).build()
 
 
 class _Systems:
     """What all phases of a scene are made of."""
 
-    def __init__(self, scene: "SceneParts", loads: Loads, solver: "Solver") -> None:
+    def __init__(self, scene: Scene, loads: Loads, solver: Solver) -> None:
         self.scene, self.robot, self.loads, self.solver = scene, scene.robot, loads, solver
         self.plans: Mapping[str, PhasePlan] = scene.parts["phases"]
         self.contacts = {part.name: part for part in scene.parts.get("contacts", ())}

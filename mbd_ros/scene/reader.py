@@ -7,7 +7,8 @@ from typing import Any
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.models.model_entry import entries_of, with_model
-from mbd_ros.scene.reading.building import Kept, Origin, build, foreign_keys, present, table_of
+from mbd_ros.scene.origin import Origin
+from mbd_ros.scene.reading.building import Kept, build, foreign_keys, present, table_of
 from mbd_ros.scene.reading.robot_entry import read_entry
 from mbd_ros.scene.schema.locate import find_scene
 

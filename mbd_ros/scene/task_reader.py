@@ -6,7 +6,8 @@ from typing import Any, NamedTuple
 
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.reading.building import Origin, build, present, refuse_unknown
+from mbd_ros.scene.origin import Origin
+from mbd_ros.scene.reading.building import build, present, refuse_unknown
 from mbd_ros.scene.schema.locate import find_task
 from mbd_ros.scene.schema.sections import TASKS, keys
 from mbd_ros.scene.schema.strict_yaml import read_mapping
@@ -39,9 +40,9 @@ def read_task(path: str | Path, scene: Scene) -> Task:
         SceneError: Names file, key, what is wrong and what is accepted.
     """
     path = find_task(path)
-    origin, entries = Origin(path, task_of=scene), read_mapping(path, "task file")
+    origin, entries = Origin(path), read_mapping(path, "task file")
     refuse_unknown(origin, [key for key in entries if key not in keys(TASKS)], TASKS)
     entries = present(entries)
     if not entries:
         raise SceneError(f"{path}: asks for nothing, accepted: {', '.join(keys(TASKS))}")
-    return Task(path, scene, build(origin, entries, TASKS).parts, entries)
+    return Task(path, scene, build(origin, entries, TASKS, scene=scene).parts, entries)

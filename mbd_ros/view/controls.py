@@ -13,7 +13,7 @@ from mbd_ros.errors import DataError, SceneError, install_hint, printable
 from mbd_ros.features.simulation.job import Interrupted, simulate
 from mbd_ros.files.table import Result
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.numbers import found_place, places_of
+from mbd_ros.scene.variants import found_place, places_of, with_numbers, with_sections
 from mbd_ros.view.curves import ALL, MOST, QUANTITIES, MotionCurves, Plot, cursor
 from mbd_ros.view.drawing import Drawing
 from mbd_ros.view.motion import ViewedMotion
@@ -63,9 +63,8 @@ class Rerun:
         self._duration = value
 
     def _number(self, name: str) -> tuple[float, float, float]:
-        from mbd_ros.scene.from_python import changed_origin
 
-        place, path = found_place(changed_origin(self._scene), places_of(self._scene), name)
+        place, path = found_place(self._scene.origin.changed(), places_of(self._scene), name)
         value: Any = self._scene.entries[place.section]
         if place.at is not None:
             value = value[place.at]
@@ -91,12 +90,12 @@ class Rerun:
         scene = self._scene
         numbers = {name: wishes[name] for name in self.numbers if name in wishes}
         if numbers:
-            scene = scene.with_(numbers)
+            scene = with_numbers(scene, numbers)
         starts = {name: wishes[name] for name in self.starts if name in wishes}
         if starts:
             initial = dict(scene.entries.get("initial") or {})
             initial["position"] = {**(initial.get("position") or {}), **starts}
-            scene = scene.with_(initial=initial)
+            scene = with_sections(scene, initial=initial)
         said = list[str]()
         try:
             return scene, simulate(scene, self._duration, say=said.append), said

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from compiled_events import ROBOTS, simulations, table
 
-from mbd_ros.api import load_scene
+from mbd_ros.api import load_scene, scene_from
 from mbd_ros.parts.integrators.adams import Adams
 from mbd_ros.parts.integrators.dop853 import Dop853
 from mbd_ros.parts.integrators.rk4 import Rk4
-from mbd_ros.scene.from_python import scene_from
 
 ARM = {
     "robot": {"urdf": ROBOTS + "arm7.urdf"},

@@ -3,12 +3,12 @@
 import pytest
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.library import load
 from mbd_ros.compiled.build.verify import verify
 from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.symbols.trace import trace
-from mbd_ros.scene.reader import load_scene
 
 SCENES = ROOT / "config/scenes"
 

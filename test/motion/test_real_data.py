@@ -9,13 +9,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 import mbd_ros
+from mbd_ros.api import load_scene, scene_from
 from mbd_ros.cli import main
 from mbd_ros.files.bags.bag_types import new_message
 from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.methods.inverse_dynamics.torque_estimator import TorqueEstimator, Tuning
 from mbd_ros.motion.recordings import read_motion
-from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointStateReader, write_joint_state
 
 

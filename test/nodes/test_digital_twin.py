@@ -13,9 +13,9 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.methods.inverse_dynamics.reactions import JointReactions
-from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import WARN
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time

@@ -25,6 +25,7 @@ from std_srvs.srv import Trigger
 from mbd_ros.files.bags.bag_reader import raw_messages
 from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.runs.simulation import build_simulation
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN
 from msg_adapters.joint_state import JointStateWriter, write_joint_state
 from msg_adapters.time import read_time, write_time
@@ -259,7 +260,7 @@ def test_each_knee_joint_of_the_four_bar_is_reconstructed_on_its_branch(domain, 
     """Along a simulated swing; the first message is far from the initial state of the scene."""
     path = SCENES / f"{FOUR_BAR}.yaml"
     scene = load_scene(path)
-    states = list(scene.simulation(dt=0.01).run(scene.initial, 0.55))[20:]
+    states = list(build_simulation(scene, dt=0.01).run(scene.initial, 0.55))[20:]
     assert np.abs(states[0].q - scene.initial.q).max() > 0.3
     with live(domain, tmp_path, path, timeout=9.0) as stream:
         order = [scene.robot.joint(name).q for name in stream.joints]

@@ -13,9 +13,9 @@ from nodes.simulation_client import NAME, simulated
 from places import ROOT
 from rcl_interfaces.srv import DescribeParameters, GetParameters
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.state import State
 from mbd_ros.methods.control.contract import EffortBox, Reference
-from mbd_ros.scene.reader import load_scene
 
 PAGE = (ROOT / "docs/control.md").read_text(encoding="utf-8")
 (LAW,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)

@@ -16,9 +16,9 @@ from rclpy.experimental import EventsExecutor
 from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
+from mbd_ros.api import load_scene
 from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
 from mbd_ros.nodes.simulator.pace import PATIENCE, Pace, wake_exactly
-from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import JointStateWriter
 
 PERIOD = 1e-3

@@ -9,9 +9,8 @@ from nodes.simulation_client import DEEP, NAME, simulated
 from places import ROOT
 from std_msgs.msg import Float64MultiArray
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.loads.inputs import HeldTable
-from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.schema.code_permission import permitting
 
 LEG = f"""robot: {{urdf: {ROOT / "config/robots/prosthetic_leg.urdf"}}}
 forces:
@@ -44,8 +43,7 @@ def test_a_node_moves_them_as_a_run_does(domain, tmp_path, modules):
     """Steps under voltages from ~/commands, against the same steps offline."""
     volts = [6.0, -3.0, 30.0, 0.5, 12.0]  # one beyond the limit
     (tmp_path / "scene.yaml").write_text(LEG, encoding="utf-8")
-    with permitting(True):
-        scene = load_scene(tmp_path / "scene.yaml")
+    scene = load_scene(tmp_path / "scene.yaml", allow_code=True)
     times, other = scene.dt * np.arange(5), 0.3 * np.array(volts)
     simulation = scene.simulation(
         sources={

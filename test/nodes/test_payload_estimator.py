@@ -17,10 +17,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import Trigger
 
+from mbd_ros.api import load_scene
 from mbd_ros.errors import SceneError
 from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.nodes.payload_estimator.pipeline import PayloadPipeline
-from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import write_joint_state
 

@@ -24,10 +24,10 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from visualization_msgs.msg import MarkerArray
 
+from mbd_ros.api import load_scene
 from mbd_ros.files.bags.bag_reader import messages, raw_messages
 from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
-from mbd_ros.scene.reader import load_scene
 from msg_adapters.clock import read_clock
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import read_joint_state, write_joint_state

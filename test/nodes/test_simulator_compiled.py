@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from nodes.simulation_client import ARM, DAMPED, simulated, swinging
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.loads.inputs import HeldTable
-from mbd_ros.scene.reader import load_scene
 
 TICK, COUNT = 2e-3, 60
 TIMES = TICK * np.arange(COUNT)

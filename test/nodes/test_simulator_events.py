@@ -7,7 +7,7 @@ import pytest
 from nodes.simulation_client import DEEP, NAME, simulated
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.scene.reader import load_scene
+from mbd_ros.api import load_scene
 
 HEIGHT, E, TICK, COUNT = 0.5, 0.6, 0.01, 90
 URDF = """<robot name="r"><link name="world"/><link name="mass"><inertial><mass value="2"/>

@@ -7,7 +7,7 @@ from nodes.simulation_client import DEEP, NAME, simulated
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64MultiArray, String
 
-from mbd_ros.scene.reader import load_scene
+from mbd_ros.api import load_scene
 
 FOUND = load_scene("simplest_walker").path
 DT, FASTER = 0.02, 10.0

@@ -4,8 +4,8 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from nodes.simulation_client import DEEP, NAME, PENDULUM, simulated
 
+from mbd_ros.api import load_scene
 from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
-from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.wrench import write_wrench
 

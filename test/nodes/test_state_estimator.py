@@ -14,8 +14,8 @@ from places import ROOT
 from sensor_msgs.msg import Imu, JointState
 from std_msgs.msg import Float64MultiArray
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.contracts import Now
-from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time, write_time

@@ -22,7 +22,8 @@ from mbd_ros.methods.control.contract import ControlledJoints, Controller
 from mbd_ros.methods.estimation.process import Estimator, LinearProcess
 from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.projection.assembly import Stabilization
-from mbd_ros.scene.reading.building import Origin, Site
+from mbd_ros.scene.origin import Origin
+from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.reading.contact_entries import with_shapes
 from mbd_ros.scene.reading.learned_entries import with_files
 from mbd_ros.scene.reading.path_entries import with_paths

@@ -2,9 +2,9 @@
 
 import pytest
 
+from mbd_ros.api import scene_from
 from mbd_ros.core.contracts import Load, type_name
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.schema.registry import PARTS, resolve
 
 SPRING = {"type": "joint_spring", "joint": "ankle", "stiffness": 30.0}

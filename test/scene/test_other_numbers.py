@@ -7,11 +7,10 @@ import pytest
 from places import ROOT
 
 import mbd_ros as mbd
+from mbd_ros.api import load_scene, scene_from
 from mbd_ros.core.loads.inputs import Sampled
 from mbd_ros.core.model import robot_reader
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading import robot_entry
 
 ENTRIES = {

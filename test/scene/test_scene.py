@@ -10,6 +10,7 @@ from mbd_ros.core.model.urdf import MAX_CHARACTERS
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import description_topic, load_scene
+from mbd_ros.scene.reading.coupling_entries import coupling_kinds
 from mbd_ros.scene.schema.code_permission import permitting
 from mbd_ros.scene.schema.sections import SECTIONS, keys
 
@@ -68,7 +69,7 @@ def test_every_section_is_built(write, tmp_path):
     assert scene.source == str(tmp_path / "leg.urdf")
     assert scene.robot.model.gravity.linear == pytest.approx([0, 1.5, -9.81])
     assert scene.couplings.independent == ("hip", "knee")
-    assert scene.coupling_kinds == {
+    assert coupling_kinds(scene) == {
         "knee_slide_x": "knee (factor)",
         "knee_slide_y": "knee_slide_x (polynomial)",
     }
@@ -95,7 +96,7 @@ def test_every_section_is_built(write, tmp_path):
 def test_empty_section_is_an_absent_one(write, rest):
     scene = load_scene(write("robot: {urdf: leg.urdf}\n" + rest))
     assert scene.absent == tuple(key for key in keys(SECTIONS)[1:] if key != "gravity")
-    assert (scene.coupling_kinds, scene.forces, scene.wrenches) == ({}, (), {})
+    assert (coupling_kinds(scene), scene.forces, scene.wrenches) == ({}, (), {})
 
 
 @pytest.mark.parametrize(
@@ -242,6 +243,7 @@ def test_package_addresses_are_found(write, tmp_path, monkeypatch, prefix):
 OUTSIDE = """
 import numpy as np
 from mbd_ros.core.contracts import Load
+from mbd_ros.scene.reading.coupling_entries import coupling_kinds
 class Push(Load):
     def __init__(self, robot, *, size: float):
         self.tau = np.full(robot.model.nv, size)

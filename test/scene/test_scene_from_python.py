@@ -8,13 +8,12 @@ import pinocchio as pin
 import pytest
 from places import ROOT
 
+from mbd_ros.api import load_scene, scene_from
 from mbd_ros.cli import main
 from mbd_ros.core.contracts import Load
 from mbd_ros.core.model.robot_reader import read_robot, with_inertias
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.reader import load_scene
-from mbd_ros.scene.schema.code_permission import permitting
+from mbd_ros.scene import from_python
 from mbd_ros.scene.schema.strict_yaml import read_mapping
 
 SCENES, ROBOTS = ROOT / "config/scenes", ROOT / "config/robots"
@@ -85,7 +84,8 @@ def test_a_relative_path_starts_from_the_current_folder(monkeypatch):
 
 
 def test_a_description_of_a_topic_serves_too():
-    scene = scene_from({"robot": {"description_topic": "/rd"}}, description=LEG)
+    entries = {"robot": {"description_topic": "/rd"}}
+    scene = from_python.scene_from(entries, description=LEG)
     assert scene.source == "topic /rd"
 
 
@@ -152,7 +152,7 @@ def test_what_refers_to_itself_is_refused():
 )
 def test_a_robot_that_is_not_there_is_named(words, message):
     with pytest.raises(SceneError) as caught:
-        scene_from({}, **words)
+        from_python.scene_from({}, **words)
     assert str(caught.value).startswith(message)
 
 
@@ -209,8 +209,7 @@ def test_code_that_was_permitted_stays_so(tmp_path, monkeypatch):
         "class Pull(Push): pass\n"
     )
     monkeypatch.syspath_prepend(str(tmp_path))
-    with permitting(True):
-        scene = scene_from({"forces": [{"type": "own_parts:Push"}]}, urdf="pendulum")
+    scene = scene_from({"forces": [{"type": "own_parts:Push"}]}, urdf="pendulum", allow_code=True)
     assert scene.with_(dt=2e-3).code == {"forces[0].type": "own_parts:Push"}
     assert len(scene.with_(actuators=[{"type": "ideal", "joints": ["hinge"]}]).forces) == 1
     with pytest.raises(SceneError, match="names code of others"):

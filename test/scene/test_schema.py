@@ -8,7 +8,7 @@ import pytest
 
 from mbd_ros.core.ranges import Gain
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.scene.reading.part_entries import Solver
+from mbd_ros.scene.built_scene import Solver
 from mbd_ros.scene.schema import schema
 
 

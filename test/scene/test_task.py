@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from mbd_ros.api import scene_from
 from mbd_ros.cli import main
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.task_reader import read_task
 
 FULL = """\

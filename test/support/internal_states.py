@@ -4,8 +4,8 @@ import math
 
 import numpy as np
 
+from mbd_ros.api import scene_from
 from mbd_ros.core.loads.inputs import HeldTable
-from mbd_ros.scene.from_python import scene_from
 
 DRIVE = {
     **{"type": "series_elastic_drive", "joint": "hinge", "name": "drive", "stiffness": 40.0},

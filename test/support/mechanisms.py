@@ -3,9 +3,9 @@
 Revolute joints turn about z, rods lie along x.
 """
 
+from mbd_ros.api import scene_from
 from mbd_ros.core.dynamics.output_values import Showing
 from mbd_ros.core.state import NONE
-from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.schema.strict_yaml import mapping_of
 
 

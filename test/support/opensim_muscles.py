@@ -5,7 +5,7 @@ import gzip
 
 import numpy as np
 
-from mbd_ros.scene.from_python import scene_from
+from mbd_ros.api import scene_from
 
 ANY_PATH = {"points": [{"frame": "world", "xyz": [0.1, 0.0, 1.0]}, {"frame": "foot"}]}
 SHARED = {

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.scene.reader import load_scene
+from mbd_ros.api import load_scene
 
 X, Y, Z = np.eye(3)
 Q = (0.3, -0.7, 1.1, 0.2, -0.4, 0.5)

@@ -6,12 +6,12 @@ import numpy as np
 import qpsolvers
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.rows.constraint_rows import rigid
 from mbd_ros.core.state import State
 from mbd_ros.methods.projection.state_projection import Measurement, StateProjector
-from mbd_ros.scene.reader import load_scene
 
 SCENES = ROOT / "config/scenes"
 

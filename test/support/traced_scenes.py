@@ -4,10 +4,10 @@ import numpy as np
 import pinocchio as pin
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.projection.assembly import assemble
-from mbd_ros.scene.reader import load_scene
 
 SCENES = ROOT / "config/scenes"
 

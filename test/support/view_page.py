@@ -6,7 +6,7 @@ import time
 import numpy as np
 from PIL import Image
 
-from mbd_ros.scene.reader import load_scene
+from mbd_ros.api import load_scene
 
 NOTICE = 190  # px
 

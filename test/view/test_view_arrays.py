@@ -6,9 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from mbd_ros.api import load_scene, scene_from
 from mbd_ros.features.simulation.job import simulate
-from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.locate import embedded_scenes
 from mbd_ros.view import surfaces
 from mbd_ros.view.controls import Rerun, mp4

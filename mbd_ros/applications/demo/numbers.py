@@ -28,6 +28,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.bags.bag_reader import messages
 from mbd_ros.parts.forces.prescribed_torque import PrescribedTorque
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.runs.simulation import build_simulation
 from msg_adapters.diagnostics import Health, read_diagnostics
 from msg_adapters.joint_state import JointStateReader
 from msg_adapters.joint_trajectory import Trajectory, read_joint_trajectory
@@ -193,7 +194,7 @@ class DemoNumbers:
     @cached_property
     def rows(self) -> Sequence[Row]:
         """Constraint rows of the plant, in the order of their forces."""
-        rows = self.plant.simulation().system.multiplier_rows
+        rows = build_simulation(self.plant).system.multiplier_rows
         return [row._replace(name=without_multiplier(row.name)) for row in rows]
 
     def disturbance_at(self, times: Array) -> Array:

@@ -32,6 +32,7 @@ from mbd_ros.applications.demo.tables import tables
 from mbd_ros.applications.demo.task import DISTURBANCE_SHARE, LAWS, ROBOTS, disturbance, trajectory
 from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.runs.simulation import build_simulation
 
 # Pictures of a demo.
 
@@ -156,7 +157,7 @@ def _prepare(order: Demo, folder: Path) -> tuple[LoopRun, dict[str, Any]]:
     reference = trajectory(robot, joints.positions(scene.initial), order.time)
     write_scenes(folder, robot, joints.names, disturbance(scene, reference))
     gains = write_gains(folder, robot, order.law, scene)
-    rows = load_scene(folder / PLANT).simulation().system.multiplier_rows
+    rows = build_simulation(load_scene(folder / PLANT)).system.multiplier_rows
     run = LoopRun(
         folder,
         scene.path,

@@ -16,6 +16,8 @@ from mbd_ros.methods.control.tracking_plan import IndependentSlopes, TrackingPla
 from mbd_ros.methods.events.crossings import Crossing
 from mbd_ros.motion.recordings import Source, read_motion
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.phased_systems import build_phased_system
+from mbd_ros.scene.runs.simulation import build_simulation
 
 # ---- riccati ----------------------------------------------------------------------------------
 # The matrix Riccati equations of linear quadratic regulators.
@@ -151,7 +153,7 @@ def strike_slope(
     Raises:
         DataError: The motion does not begin anew at its end.
     """
-    simulation, first = scene.simulation(), states[-BEFORE]
+    simulation, first = build_simulation(scene), states[-BEFORE]
     d = len(slopes.chosen)
 
     def after(e: Array) -> Array:
@@ -211,7 +213,7 @@ def crossings_of(scene: Scene) -> tuple[Crossing, ...]:
     """Numbers of the forces of held contacts, positive while they push and stick."""
     if not scene.phases:
         return ()
-    return tuple(one.crossing for one in scene.phased_system().phases[0].demands)
+    return tuple(one.crossing for one in build_phased_system(scene).phases[0].demands)
 
 
 def tolerated_efforts(
@@ -304,7 +306,7 @@ def _system(scene: Scene) -> Any:
     from mbd_ros.scene.runs.compiling import compiled_system
 
     if scene.phases:
-        return scene.phased_system().systems[0]
+        return build_phased_system(scene).systems[0]
     try:
         return compiled_system(scene)
     except ModelError:

@@ -21,6 +21,7 @@ from mbd_ros.parts.actuators.ideal import Ideal
 from mbd_ros.parts.sensors.encoder import Encoder
 from mbd_ros.parts.sensors.tachometer import Tachometer
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import resolve
 
@@ -193,7 +194,7 @@ def _process(
     unknowns: Unknowns, task: EstimateTask, scale: Array, joints: Sequence[str]
 ) -> MechanismProcess:
     scene = unknowns.scene
-    simulation = scene.simulation()
+    simulation = build_simulation(scene)
     internals = simulation.system.internals
     noise, sizes = np.zeros(internals.nz), np.ones(internals.nz)
     if joints:

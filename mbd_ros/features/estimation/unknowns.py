@@ -17,10 +17,10 @@ from mbd_ros.core.ranges import Within, described
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.numbers import places_of
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.reading.part_entries import part_of
 from mbd_ros.scene.schema.nearest import nearest
+from mbd_ros.scene.variants import places_of
 
 # ---- unknown numbers --------------------------------------------------------------------------
 # Numbers of a scene that nobody knows exactly, as states of an estimator of rate 0.

@@ -22,8 +22,8 @@ from mbd_ros.features.gait.search import Gait
 from mbd_ros.features.gait.task import ContinuationTask
 from mbd_ros.jobs.progress import Say
 from mbd_ros.methods.events.crossings import sign_change
-from mbd_ros.scene.numbers import found_place, places_of
-from mbd_ros.scene.reading.building import Origin
+from mbd_ros.scene.origin import Origin
+from mbd_ros.scene.variants import found_place, places_of
 
 # ---- branch -----------------------------------------------------------------------------------
 # Points of a branch of periodic motions, and what changes between two of them.

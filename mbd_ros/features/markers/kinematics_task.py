@@ -102,8 +102,8 @@ def _task(
         name: _coordinate(entry, f"{site.where}.coordinates.{name}")
         for name, entry in (coordinates or {}).items()
     }
-    if site.origin.task_of is not None:
-        refuse_unknown_joints(site.origin.task_of, tasks, f"{site.where}.coordinates")
+    if site.scene is not None:
+        refuse_unknown_joints(site.scene, tasks, f"{site.where}.coordinates")
     if file is None and any(task.from_motion for task in tasks.values()):
         raise SceneError(f"{site.where}.coordinates: from_motion asks for a key 'motion'")
     given = markers, tasks, begin, end, smoothness, limits, unit, axes, file

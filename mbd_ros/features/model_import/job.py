@@ -12,8 +12,8 @@ from mbd_ros.files.output_file import replacing
 from mbd_ros.scene.models.imported_model import Imported
 from mbd_ros.scene.models.model_entry import brought_sections, format_of, import_model
 from mbd_ros.scene.models.names import plain
+from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.reader import build_scene
-from mbd_ros.scene.reading.building import Origin
 from mbd_ros.scene.schema.strict_yaml import mapping_of
 
 _WIDTH = 140

@@ -107,7 +107,7 @@ def build_task(site: Site, given: Any) -> MusclesTask:
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
     """
-    scene: Any = site.origin.task_of
+    scene: Any = site.scene
     return muscles_task(scene, given, site.where, site.origin.folder)
 
 

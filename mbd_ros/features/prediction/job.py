@@ -32,6 +32,7 @@ from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.state_table import topics_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.task_reader import read_task
+from mbd_ros.scene.variants import with_numbers
 
 # ---- job --------------------------------------------------------------------------------------
 # The best motion of a scene: `mbd-ros predict`.
@@ -98,7 +99,9 @@ def run_predict(
     driven, modes, motions = found.problem.scene, found.problem.modes, found.solution.motions
     names = [one.name for one in found.problem.program.parameters]
     if names:
-        driven = driven.with_(dict(zip(names, found.solution.parameters.tolist(), strict=True)))
+        driven = with_numbers(
+            driven, dict(zip(names, found.solution.parameters.tolist(), strict=True))
+        )
         modes = modes_of(driven, task)
     simulation = simulation_of(driven, motions, found.worst)
     again = NOT_AGAIN

@@ -16,7 +16,10 @@ from mbd_ros.features.prediction.task import DrivenBy, PredictTask
 from mbd_ros.methods.events.phases import Check, Exit
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.phased_systems import build_phased_system
+from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.schema.nearest import nearest
+from mbd_ros.scene.variants import with_sections
 
 if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_phase import MotionPhase
@@ -67,7 +70,7 @@ def modes_of(scene: Scene, task: PredictTask) -> list[PhaseMode]:
                 raise ModelError(f"phase '{one.phase}': the scene has no phases")
         system = scene.system()
         return [PhaseMode(0, system, _mode(system)) for _ in task.phases]
-    phased, found = scene.phased_system(), list[PhaseMode]()
+    phased, found = build_phased_system(scene), list[PhaseMode]()
     for one in task.phases:
         if one.phase and one.phase not in names:
             close = nearest(one.phase, names, 1)
@@ -84,7 +87,7 @@ def started(scene: Scene, mode: PhaseMode) -> State:
 
     Forces of contacts that its phase holds are those of inputs that nobody knows yet.
     """
-    simulation, x = scene.simulation(), scene.initial
+    simulation, x = build_simulation(scene), scene.initial
     if mode.phased is None:
         return mode.system.reduce(simulation.system.expand(simulation.start(x)))
     system = mode.phased.during(x)
@@ -230,7 +233,7 @@ def driven(scene: Scene, by: DrivenBy = "scene", bounded: Iterable[str] = ()) ->
             "bounds in the task, or driven_by: joints"
         )
     if by == "scene":
-        return Driven(scene.with_(actuators=drives))
+        return Driven(with_sections(scene, actuators=drives))
     if by == "muscles" and not scene.muscles:
         raise SceneError(f"{scene.name}: driven_by: muscles: the scene has none")
     muscles = smooth_entries(scene, {"tendon": "rigid"}) if by == "muscles" else None
@@ -239,7 +242,8 @@ def driven(scene: Scene, by: DrivenBy = "scene", bounded: Iterable[str] = ()) ->
         _untaken(f"{one.name}{_RESIDUAL}", given): {"frame": one.frame}
         for one in scene.robot.bases
     }
-    found = scene.with_(
+    found = with_sections(
+        scene,
         muscles=muscles,
         actuators=drives,
         external_wrenches={**given, **wrenches} or None,

@@ -13,6 +13,7 @@ from mbd_ros.features.prediction.modes import PhaseMode, simulation_of_phase
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.optimal_control.phase_motion import PhaseMotion
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.runs.simulation import build_simulation
 
 _SHARE = 1.0e-3  # of the error between nodes: what integration may add to it
 _LEAST, _MOST = 1.0e-12, 1.0e-7  # tolerances of integration
@@ -75,7 +76,7 @@ def simulation_of(
     dt = max(motion.duration for motion in motions) / samples
     accurate = {"type": "dop853", "tolerance": tolerance}
     options = {"integrator": accurate, "dt": dt, "solver": solver}
-    return scene.simulation(sources=sources_of(scene, motions), **options)
+    return build_simulation(scene, sources=sources_of(scene, motions), **options)
 
 
 def replay(

@@ -20,6 +20,7 @@ from mbd_ros.optimal_control.phase_motion import PhaseMotion
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.task_reader import read_task
+from mbd_ros.scene.variants import with_numbers
 
 # ---- starts -----------------------------------------------------------------------------------
 # Several guesses of a motion, here or on workers; the cheapest solution counts.
@@ -171,7 +172,7 @@ def try_start(order: Mapping[str, Any]) -> list[Any]:
     else:
         task = predict_task(given, "predict")
     numbers = order.get("numbers")
-    problem = problem_of(scene.with_(numbers) if numbers else scene, task)
+    problem = problem_of(with_numbers(scene, numbers) if numbers else scene, task)
     number = int(order["number"])
     return list(_told(number, solve(started(problem, number), task, lambda line: None)))
 
@@ -249,7 +250,7 @@ def search(scene: Scene, task: PredictTask, say: Say, where: Where = HERE) -> li
     for numbers in _values(task):
         if numbers:
             say("with " + ", ".join(f"{name} = {value:.9g}" for name, value in numbers.items()))
-        problem = problem_of(scene.with_(numbers) if numbers else scene, task)
+        problem = problem_of(with_numbers(scene, numbers) if numbers else scene, task)
         for line in problem.changes:
             say(line)
         if found:

@@ -14,6 +14,7 @@ from mbd_ros.optimal_control.problem import Range
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.path_entries import path_of
 from mbd_ros.scene.runs.path_search import QuickestSearch
+from mbd_ros.scene.variants import with_sections
 
 # ---- wrapping entries -------------------------------------------------------------------------
 # Where entries of paths that wrap stand in a scene.
@@ -86,7 +87,7 @@ def with_fitted_paths(
             whole[place.at] = {"polynomial": polynomial}
         else:
             holder["path"] = {"polynomial": polynomial}
-    return scene.with_(**changed), lines, joints
+    return with_sections(scene, **changed), lines, joints
 
 
 def _copied(section: Any) -> Any:
@@ -208,7 +209,7 @@ def with_smooth_muscles(scene: Scene, more: Mapping[str, Any] = _NOTHING) -> tup
     types = sorted({str(entry["type"]) for entry in scene.entries["muscles"]})
     words = ", ".join(f"{key} {value}" for key, value in more.items())
     line = f"muscles: {', '.join(types)} -> {SMOOTH}" + (f" with {words}" if words else "")
-    return scene.with_(muscles=smooth_entries(scene, more)), line
+    return with_sections(scene, muscles=smooth_entries(scene, more)), line
 
 
 def smooth_entries(scene: Scene, more: Mapping[str, Any] = _NOTHING) -> list[dict[str, Any]]:

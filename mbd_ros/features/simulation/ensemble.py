@@ -27,9 +27,9 @@ from mbd_ros.jobs.workers.task import Task
 from mbd_ros.motion.columns import body_columns, joint_columns, whole_bodies
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.numbers import found_place, places_of
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.batch import Batch, Runs
+from mbd_ros.scene.variants import found_place, places_of
 
 _SHARES = 4  # tasks a worker
 _SHOWN = 5  # runs that an error names

@@ -44,6 +44,7 @@ from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.state_table import BALANCE, table_of, topics_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
+from mbd_ros.scene.runs.simulation import build_simulation
 
 _HANDED_OVER = "compiled ones do not take rows near dependence, nor states that are not finite"
 
@@ -112,7 +113,7 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
         raise DataError(f"{scene.name}: no joint of the robot moves, so there is no motion")
     sources, forces, remarks = drives(scene, run)
     options = {**run.options, "dt": _interval(scene, run)}
-    simulation = scene.simulation(forces=forces, sources=sources, tell=announce, **options)
+    simulation = build_simulation(scene, forces=forces, sources=sources, tell=announce, **options)
     x, more = initial_state(scene, run)
     excited = scene.muscles, x, simulation.system.loads.sources.at(x.t)
     fibers = fiber_warnings(scene.robot, *excited)
@@ -365,5 +366,5 @@ def _check_events(scene: Scene, run: Run, events: Path, out: Path) -> None:
     """
     if events.resolve() == out.resolve():
         raise DataError(f"--events {events}: is -o, choose another name")
-    if not scene.simulation(**run.options).guards:
+    if not build_simulation(scene, **run.options).guards:
         raise DataError(f"--events: nothing in {scene.name} happens at one time, such as impacts")

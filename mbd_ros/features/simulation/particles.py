@@ -26,6 +26,7 @@ from mbd_ros.methods.particles.verlet_steps import run as states_of
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.particles.particle_scene import ParticleScene
 from mbd_ros.scene.particles.particles_entry import QUANTITIES
+from mbd_ros.scene.variants import with_sections
 
 MANY = 100  # particles from which on they have no columns of their own
 _AXES = "xyz"
@@ -237,7 +238,7 @@ def run(scene: ParticleScene, arguments: argparse.Namespace) -> int:
             raise DataError(f"--{word}: is not for {scene.name}, which holds particles")
     solver = "compiled" if arguments.compiled else arguments.solver
     if solver is not None:
-        scene = scene.with_(solver={"type": solver})
+        scene = with_sections(scene, solver={"type": solver})
     if arguments.time is None:
         raise DataError("-t: is missing: give the time to simulate, in the unit of the scene")
     _check_place(arguments.out, scene)

@@ -23,8 +23,8 @@ from mbd_ros.jobs.arguments import about
 from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.motion.external_loads import refuse_unused
 from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion, read_wrenches
-from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.reading.part_entries import Solver
+from mbd_ros.scene.built_scene import Scene, Solver
+from mbd_ros.scene.runs.simulation import default_integrator
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import PARTS, resolve
 
@@ -110,7 +110,7 @@ def method_entry(
     """
     if integrator is None and tolerance is None:
         return None
-    entry = dict(scene.integrator_entry or scene.default_integrator)
+    entry = dict(scene.integrator_entry or default_integrator(scene))
     where, whose = "--tolerance", f"of {scene.name}" if scene.integrator else "by default"
     if integrator is not None:
         entry, where, whose = {"type": integrator}, f"--integrator {integrator}", "you chose"

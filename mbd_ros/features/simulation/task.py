@@ -7,8 +7,9 @@ from typing import Any
 
 from mbd_ros.core.ranges import Unlimited, refuse_dt
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.built_scene import Solver
 from mbd_ros.scene.reading.building import Site
-from mbd_ros.scene.reading.part_entries import Solver, build_part
+from mbd_ros.scene.reading.part_entries import build_part
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 

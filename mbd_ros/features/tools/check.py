@@ -26,7 +26,9 @@ def run(arguments: argparse.Namespace) -> int:
     with about(arguments.scene):
         scene = load_any(arguments.scene)
         if is_of_particles(scene):
-            say_all(scene.check().splitlines())
+            from mbd_ros.scene.describe.particles import describe as describe_particles
+
+            say_all(describe_particles(scene))
             return OK
         if arguments.compiled and not scene.solver.compiles:
             scene = scene.holding(solver=replace(scene.solver, type="auto"))

@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 from trajectory_msgs.msg import JointTrajectory
 
-from mbd_ros.scene.reading.part_entries import MeasuredWrench
+from mbd_ros.scene.built_scene import MeasuredWrench
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_trajectory_cdr import require_points
 from msg_adapters.wrench import WrenchSample, read_wrench

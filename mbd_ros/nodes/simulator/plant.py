@@ -20,8 +20,9 @@ from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulat
 from mbd_ros.nodes.shell.commands import command_reader
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.shell.serialized import read_load
-from mbd_ros.scene.built_scene import Scene, Tell
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.runs.simulation import Tell, build_simulation
 from msg_adapters.errors import MessageError, listed
 from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
@@ -75,7 +76,7 @@ class Plant:
         heard = [(scene.wrenches[name].u, watch) for name, watch in self.wrenches.items()]
         watch = CommandWatch(*times)
         solver = {"type": "compiled"} if values.compiled else None
-        build = partial(scene.simulation, solver=solver, tell=tell)
+        build = partial(build_simulation, scene, solver=solver, tell=tell)
         self.live = LiveSimulation(
             build, scene.initial, 1.0 / values.rate, watch, scene.safe, heard
         )
@@ -291,8 +292,10 @@ def _asked(robot: Robot, links: Sequence[str]) -> Sequence[str]:
 
 
 def _loaded(scene: Scene, entries: Mapping[str, Any]) -> Scene:
+    from mbd_ros.scene.variants import with_sections
+
     given = scene.entries.get("external_wrenches") or {}
-    return scene.with_(external_wrenches={**given, **entries})
+    return with_sections(scene, external_wrenches={**given, **entries})
 
 
 def _odometry(scene: Scene) -> list[Any]:

@@ -29,9 +29,17 @@ from mbd_ros.methods.integration.stiffness_window import GAIN, Window, touching_
 from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.methods.simulation.simulation import Simulation
-from mbd_ros.scene.built_scene import DEFAULT_STABLE, Scene, Tell
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
-from mbd_ros.scene.reading.building import parts_in
+from mbd_ros.scene.reading.coupling_entries import coupling_kinds
+from mbd_ros.scene.runs.simulation import (
+    DEFAULT_STABLE,
+    Tell,
+    build_simulation,
+    default_integrator,
+    integrator_of,
+)
+from mbd_ros.scene.schema.sections import parts_in
 
 # ---- part lines -------------------------------------------------------------------------------
 # Lines of `mbd-ros check` about robots, bodies and parts, these by texts of their sections.
@@ -172,7 +180,7 @@ def forward_cost(scene: Scene, system: System, x: State) -> str:
     bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
     y = x  # else in its mode
     if system.exact is not None:
-        simulation = scene.simulation(solver={"type": "plain"})
+        simulation = build_simulation(scene, solver={"type": "plain"})
         y = inward(simulation.system, simulation.start(given))
     ours = _best(evaluation_at(system, y))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
@@ -201,11 +209,11 @@ def step_lines(scene: Scene, system: System, x: State) -> Iterator[str]:
     """
     yield from _windows(scene, system, x)
     motion, method = linear_motion(system, x), scene.integrator
-    name = scene.default_integrator["type"]
+    name = default_integrator(scene)["type"]
     if method is not None:
         name = type_name(method)
     elif motion.rate * scene.dt > DEFAULT_STABLE:
-        method = scene.method
+        method = integrator_of(scene)
     longest = math.inf if method is None else longest_step(method, motion, scene.dt)
     if not math.isfinite(motion.rate):
         yield line("warning", f"stiff: forces change too steeply for any step of {name}")
@@ -220,7 +228,7 @@ def _windows(scene: Scene, system: System, x: State) -> Iterator[str]:
     if not parts:
         return
 
-    method = scene.method
+    method = integrator_of(scene)
     start = system.expand(x)
     found = windows_at(system, parts, method, scene.dt, start)
     for window in found:
@@ -261,16 +269,18 @@ def _lines(scene: Scene, tell: Tell | None) -> Iterator[str]:
     yield line("gravity", f"{gravity} m/s^2, included in every torque")
     system = scene.system()
     if scene.phases:
-        phased = scene.phased_system()
+        from mbd_ros.scene.phased_systems import build_phased_system
+
+        phased = build_phased_system(scene)
         system = phased.systems[phased.first]
     fault = _mass_fault(scene, system)
     start, factor = _held_start(scene, system) if fault else _start(scene, system)
     if scene.integrator is not None:  # the default one takes every scene
-        scene.simulation(solver=_PLAIN if scene.solver.compiles else None)
+        build_simulation(scene, solver=_PLAIN if scene.solver.compiles else None)
     freedom = system.nv - (0 if factor is None else factor.rank)
     yield line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
     yield line("independent", ", ".join(couplings.independent) or "none")
-    dependent = "; ".join(f"{name} <- {kind}" for name, kind in scene.coupling_kinds.items())
+    dependent = "; ".join(f"{name} <- {kind}" for name, kind in coupling_kinds(scene).items())
     yield line("dependent", dependent or "none")
     if robot.locked:
         locked = ", ".join(f"{name} at {value:g}" for name, value in robot.locked.items())
@@ -306,7 +316,9 @@ def _forward(scene: Scene, system: System) -> str:
     """The tier, the method and the step."""
     rows = f", {len(system.held.rows)} rows" if system.held.rows else ""
     method = "integrator" if scene.integrator is None else type(scene.integrator).__name__
-    default = f" {scene.default_integrator['type']} by default" if scene.integrator is None else ""
+    default = (
+        f" {default_integrator(scene)['type']} by default" if scene.integrator is None else ""
+    )
     text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}{default}, dt {scene.dt:g} s"
     if system.held.rows:
         kept = scene.stabilization
@@ -445,7 +457,7 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[str]:
         scene: The scene.
         layout: Its rows, some of which give way.
     """
-    method = scene.method
+    method = integrator_of(scene)
     name, order = type_name(method), method.order
     if method.at_velocity_level:
         names = listed([block.part.name for block in layout.yielding])
@@ -505,7 +517,7 @@ def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> I
     Raises:
         SceneError: It demands compiled steps and cannot have them.
     """
-    simulation = scene.simulation(tell=tell)
+    simulation = build_simulation(scene, tell=tell)
     is_compiled = isinstance(simulation.stepper, BlockStepper)
     text = simulation.how.partition(": ")[2]
     if is_compiled and has_start:
@@ -515,7 +527,7 @@ def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> I
 
 def _costs(scene: Scene, simulation: Simulation) -> str:
     """Times of a step, empty where the first one fails."""
-    plain = scene.simulation(solver={"type": "plain"})
+    plain = build_simulation(scene, solver={"type": "plain"})
     try:
         ours, theirs = _step_time(simulation, scene), _step_time(plain, scene)
     except (DivergedError, SolveError):

@@ -3,16 +3,11 @@
 import html
 from collections.abc import Iterable, Iterator, Mapping
 from textwrap import shorten
-from typing import TYPE_CHECKING
 
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.scene.reading.building import parts_in
-from mbd_ros.scene.schema.sections import Section
-
-if TYPE_CHECKING:
-    from mbd_ros.scene.scene_parts import SceneParts
-
+from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.schema.sections import Section, parts_in
 
 # ---- scene summary ----------------------------------------------------------------------------
 # A scene in a few lines, for a prompt and for a notebook.
@@ -32,7 +27,14 @@ _TOLD = (
 )
 
 
-def scene_text(scene: "SceneParts") -> str:
+class Lines(str):
+    """A text that a notebook shows line by line."""
+
+    def __repr__(self) -> str:
+        return str(self)
+
+
+def scene_text(scene: Scene) -> str:
     """At most ten lines: the scene, and one for each of its sections."""
     rows = list(_rows(scene))
     if len(rows) > _LINES:
@@ -42,7 +44,7 @@ def scene_text(scene: "SceneParts") -> str:
     return "\n".join([f"Scene {scene.name}", *(f"  {n:<{width}}{text}" for n, text in rows)])
 
 
-def scene_html(scene: "SceneParts") -> str:
+def scene_html(scene: Scene) -> str:
     """A table element; names are escaped, since they come from files of others."""
     rows = "".join(
         f"<tr><th>{html.escape(label)}</th><td>{html.escape(text)}</td></tr>"
@@ -51,7 +53,7 @@ def scene_html(scene: "SceneParts") -> str:
     return f"<table><caption>{html.escape(f'Scene {scene.name}')}</caption>{rows}</table>"
 
 
-def _rows(scene: "SceneParts") -> Iterator[tuple[str, str]]:
+def _rows(scene: Scene) -> Iterator[tuple[str, str]]:
     """Section and its parts."""
     robot, dependent = scene.robot, scene.couplings.dependent
     yield (
@@ -67,7 +69,7 @@ def _rows(scene: "SceneParts") -> Iterator[tuple[str, str]]:
     yield "run", f"{method}, dt {scene.dt:g} s, solver {scene.solver.type}"
 
 
-def _names(scene: "SceneParts", section: Section) -> tuple[str, ...]:
+def _names(scene: Scene, section: Section) -> tuple[str, ...]:
     built = scene.parts[section.key]
     if isinstance(built, Mapping):
         return tuple(built)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from mbd_ros.scene.reading.building import Origin
+from mbd_ros.scene.origin import Model, Origin
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 from mbd_ros.scene.schema.sections import SECTIONS, keys
@@ -142,22 +142,6 @@ def _grouped(imported: Imported) -> list[str]:
         f"{kind} {', '.join(name or '-' for name in names)} ({reason})"
         for (kind, reason), names in groups.items()
     ]
-
-
-class Model(NamedTuple):
-    """A model that was read, and what it brought.
-
-    Attributes:
-        source: The file.
-        urdf: Its bodies and joints.
-        brought: Sections by key, as they were merged.
-        left_out: What the scene does not have of it, a line each.
-    """
-
-    source: str
-    urdf: str
-    brought: Entries
-    left_out: tuple[str, ...]
 
 
 def entries_of(path: Path) -> dict[str, Any]:

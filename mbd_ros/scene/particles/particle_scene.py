@@ -14,8 +14,9 @@ from mbd_ros.methods.particles.pairs import Pairs
 from mbd_ros.methods.particles.particle_system import ParticleSystem
 from mbd_ros.methods.particles.units import Units
 from mbd_ros.methods.particles.verlet_steps import KindSteps, ParticleVerlet
+from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.particles.particles_entry import Particles, Record
-from mbd_ros.scene.reading.building import NO_FILE, Origin, build, present, refuse_unknown
+from mbd_ros.scene.reading.building import build, present, refuse_unknown
 from mbd_ros.scene.reading.part_entries import build_part
 from mbd_ros.scene.schema.sections import PARTICLES, keys
 
@@ -121,25 +122,6 @@ class ParticleScene:
             raise SceneError(f"{self.name}: integrator: {error}") from error
         steps: ParticleVerlet = stepper
         return steps
-
-    def with_(self, **sections: Any) -> "ParticleScene":
-        """The scene with other sections; None removes one.
-
-        Raises:
-            SceneError: Names key, what is wrong and what is accepted.
-        """
-        from mbd_ros.scene.from_python import plain
-
-        old = self.origin
-        title = old.title if old.path is None else f"{old.path} (changed)"
-        origin = old._replace(path=None, title=title, base=old.folder)
-        return build_particle_scene(origin, {**self.entries, **plain(sections, NO_FILE)})
-
-    def check(self) -> str:
-        """The lines of `mbd-ros check`."""
-        from mbd_ros.scene.particles.describe import describe
-
-        return "\n".join(describe(self))
 
     def __repr__(self) -> str:
         kinds = ", ".join(f"{kind.count} {kind.name}" for kind in self.system().kinds)

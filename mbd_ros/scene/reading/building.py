@@ -4,19 +4,18 @@ import importlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from mbd_ros.core.contracts import type_name
 from mbd_ros.core.model.robot import BASE, Robot
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.schema.code_permission import code_of_others, require_permission
-from mbd_ros.scene.schema.sections import SECTIONS, Form, Section, keys, ordered
+from mbd_ros.scene.schema.sections import SECTIONS, Section, keys, ordered, parts_in
 
 if TYPE_CHECKING:
     from mbd_ros.scene.built_scene import Scene
-    from mbd_ros.scene.models.model_entry import Model
 
 
 # ---- part names -------------------------------------------------------------------------------
@@ -169,39 +168,6 @@ def _is_at_rest(key: str, place: str, robot: Robot | None) -> bool:
 # Entries of a file -> built sections, by the table of sections.
 
 
-NO_FILE = "scene"  # what messages call a scene that no file holds
-
-
-class Origin(NamedTuple):
-    """Source of a scene or a task.
-
-    Attributes:
-        path: The file, None where the sections come from Python.
-        description: URDF that came with it: from a topic, or from Python.
-        task_of: The scene that a task is asked of, None for a scene.
-        title: For the messages, where there is no file.
-        base: Folder from which relative paths start, where there is no file.
-        model: What the robot was read from, where its file brings sections too.
-    """
-
-    path: Path | None = None
-    description: str | None = None
-    task_of: "Scene | None" = None
-    title: str = NO_FILE
-    base: Path = Path()
-    model: "Model | None" = None
-
-    @property
-    def name(self) -> str:
-        """For the messages."""
-        return self.title if self.path is None else str(self.path)
-
-    @property
-    def folder(self) -> Path:
-        """Folder from which relative paths start."""
-        return self.base if self.path is None else self.path.parent
-
-
 class Site(NamedTuple):
     """The knowledge of the builder of a section.
 
@@ -212,6 +178,7 @@ class Site(NamedTuple):
         parts: The sections that are built, by key.
         kept: Parts of this section that are built already, by their place in the list or by their
             key; a builder may build them again.
+        scene: The scene that a task is asked of; None while a scene is built.
     """
 
     section: Section
@@ -219,6 +186,7 @@ class Site(NamedTuple):
     robot: Robot | None
     parts: Mapping[str, Any]
     kept: Mapping[Any, Any] = MappingProxyType({})
+    scene: "Scene | None" = None
 
     @property
     def where(self) -> str:
@@ -311,6 +279,7 @@ def build(
     entries: Mapping[str, Any],
     table: Sequence[Section],
     kept: Kept = Kept(),  # noqa: B008, a constant
+    scene: "Scene | None" = None,
 ) -> Built:
     """Build the sections from their entries, in the order that `after` demands.
 
@@ -319,6 +288,7 @@ def build(
         entries: By key.
         table: The sections.
         kept: What is built already.
+        scene: The scene that a task is asked of; None for the sections of a scene.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.
@@ -330,7 +300,8 @@ def build(
         if section.key in kept.sections:
             parts[section.key] = kept.sections[section.key]
         elif given is not None:
-            site = Site(section, origin, robot, parts, kept.parts.get(section.key, {}))
+            others = kept.parts.get(section.key, {})
+            site = Site(section, origin, robot, parts, others, scene)
             parts[section.key] = _builder(section)(site, given)
         else:
             continue
@@ -338,18 +309,9 @@ def build(
             robot = parts["robot"]
         elif robot is not None:
             robot = _with_armature(robot, parts_in(section, parts[section.key]))
-    if origin.task_of is None:  # parts of a task have no names
+    if scene is None:  # parts of a task have no names
         refuse_repeated(origin.name, parts, robot)
     return Built(parts, robot)
-
-
-def parts_in(section: Section, built: Any) -> tuple[Any, ...]:
-    """The parts of a section, whatever its form."""
-    if section.form is Form.LIST:
-        return tuple(built)
-    if section.form is Form.NAMED and isinstance(built, Mapping):
-        return tuple(built.values())
-    return (built,)
 
 
 def _builder(section: Section) -> Any:

@@ -14,6 +14,7 @@ from mbd_ros.core.model.couplings import (
     natural_cubic_spline,
 )
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema
 
@@ -44,20 +45,15 @@ def build_couplings(site: Site, entries: Any) -> Couplings:
         raise SceneError(f"{site.where}: {error}") from error
 
 
-def coupling_kinds(couplings: Couplings, entries: Mapping[str, Any]) -> dict[str, str]:
-    """Dependent joint -> parent and kind of coupling function, for people.
-
-    Args:
-        couplings: As `build_couplings` gives them.
-        entries: Of the section.
-    """
+def coupling_kinds(scene: Scene) -> dict[str, str]:
+    """Dependent joint -> parent and kind of coupling function, for people."""
     kinds = {
         name: next(kind for kind in FUNCTIONS if entry.get(kind) is not None)
-        for name, entry in entries.items()
+        for name, entry in scene.entries.get("couplings", {}).items()
     }
     return {
-        name: f"{couplings.parents[name]} ({kinds.get(name, 'URDF mimic')})"
-        for name in couplings.dependent
+        name: f"{scene.couplings.parents[name]} ({kinds.get(name, 'URDF mimic')})"
+        for name in scene.couplings.dependent
     }
 
 

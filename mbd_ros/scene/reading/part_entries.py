@@ -3,13 +3,10 @@
 import inspect
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from mbd_ros.core.dynamics.tiers import TIERS
-from mbd_ros.core.loads.external_loads import ExternalWrench
-from mbd_ros.core.optimization.qp_solvers import check_backend
-from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.errors import SceneError
+from mbd_ros.scene.built_scene import MeasuredWrench
 from mbd_ros.scene.reading.building import NamedEntry, Site, checked_name, name_parts, named_entry
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import METHODS, PARTS, resolve_type, types_of
@@ -20,54 +17,8 @@ if TYPE_CHECKING:
 
 MAX_PARTS = 1000  # in one section
 MAX_ROWS = 600  # of all constraints: a solve costs their number cubed
-SOLVERS = (*TIERS, "plain", "compiled")
 _WORD = "[A-Za-z_][A-Za-z0-9_]*"  # of a ROS 2 name
 _NAME, _TOPIC = re.compile(_WORD), re.compile(f"(~?/)?{_WORD}(/{_WORD})*")
-
-
-class MeasuredWrench(ExternalWrench):
-    """An external load and the topic that carries it; None stands for `~/wrench/<name>`."""
-
-    topic: str | None = None
-
-    @property
-    def heard_on(self) -> str:
-        """The topic that carries it."""
-        return self.topic or f"~/wrench/{self.name}"
-
-
-@dataclass(frozen=True)
-class Solver:
-    """The `solver` section.
-
-    Attributes:
-        type: A tier of `mbd_ros.core.dynamics.tiers`; or the cheapest one that serves, and how
-            its steps run: `plain`, `compiled`, or `auto`, compiled where they can be.
-        backend: Solver of the QP: proxqp, or one that qpsolvers knows.
-    """
-
-    type: str = "plain"
-    backend: str = "proxqp"
-
-    def __post_init__(self) -> None:
-        if self.type not in SOLVERS:
-            raise ModelError(f"unknown solver type '{self.type}', accepted: {', '.join(SOLVERS)}")
-        check_backend(self.backend)
-
-    @property
-    def tier(self) -> str:
-        """The tier that is asked for; `auto` for the cheapest one that serves."""
-        return self.type if self.type in TIERS else "auto"
-
-    @property
-    def compiles(self) -> bool:
-        """Whether steps are compiled where they can be."""
-        return self.type in ("auto", "compiled")
-
-    @property
-    def must_compile(self) -> bool:
-        """Whether it is an error where they cannot be."""
-        return self.type == "compiled"
 
 
 def build_wrenches(site: Site, entries: Any) -> dict[str, MeasuredWrench]:

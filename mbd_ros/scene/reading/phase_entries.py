@@ -2,118 +2,14 @@
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
-from mbd_ros.core.ranges import NotNegative, Positive, Unit
+from mbd_ros.core.ranges import Positive, Unit
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.phase_plans import GuardEntry, GuardPlan, PhasePlan, ResetEntry, WhenEntry
 from mbd_ros.scene.reading.building import Site, checked_name
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.nearest import nearest
-
-# ---- phase plans ------------------------------------------------------------------------------
-# Entries of phases as a scene file has them, and phases by names.
-
-
-@dataclass(frozen=True)
-class WhenEntry:
-    """Where a guard acts: a sum of joint positions times factors beyond a level."""
-
-    joint: str | None = None
-    joints: Mapping[str, float] | None = None
-    above: float | None = None
-    below: float | None = None
-
-
-@dataclass(frozen=True)
-class ResetEntry:
-    """What happens at once: an impact, then joints under other names."""
-
-    impact: Sequence[str] | None = None
-    exchange: Mapping[str, Any] | None = None
-    relabel: Mapping[str, Mapping[str, float]] | None = None
-    shift: Mapping[str, float] | None = None
-
-
-@dataclass(frozen=True)
-class GuardEntry:
-    """What ends a phase."""
-
-    touch_down: str | None = None
-    lift_off: str | None = None
-    slip: str | None = None
-    tip: str | None = None
-    joint: str | None = None
-    joints: Mapping[str, float] | None = None
-    force: str | None = None
-    multiplier: str | None = None
-    time: Annotated[NotNegative, Unit("s")] | None = None
-    at: float = 0.0
-    direction: Literal["up", "down", "both"] | None = None
-    when: Mapping[str, Any] | None = None
-    then: str | None = None
-    reset: Mapping[str, Any] | None = None
-
-
-@dataclass(frozen=True)
-class GuardPlan:
-    """A guard by names.
-
-    Attributes:
-        name: Unique in the phase.
-        entry: What it looks at.
-        when: Where it acts; None for everywhere.
-        then: Name of the next phase.
-        reset: What happens at once.
-        where: File and key, for the messages.
-    """
-
-    name: str
-    entry: GuardEntry
-    when: WhenEntry | None
-    then: str
-    reset: ResetEntry
-    where: str
-
-
-@dataclass(frozen=True)
-class PhasePlan:
-    """A phase by names, which `phased_systems` makes a system of.
-
-    Attributes:
-        name: Unique in the scene.
-        contacts: Names of the contacts that are on.
-        held: Whether these are held closed.
-        constraints: Names of the constraints that are on; None for all.
-        couplings: Dependent joints that are; None for all.
-        guards: What ends it, in the order of the file.
-        limit: Longest time in it [s]; None without one.
-        where: File and key, for the messages.
-    """
-
-    name: str
-    contacts: tuple[str, ...]
-    held: bool
-    constraints: tuple[str, ...] | None
-    couplings: tuple[str, ...] | None
-    guards: tuple[GuardPlan, ...]
-    limit: float | None
-    where: str
-
-    @property
-    def told(self) -> str:
-        """What ends it, for people."""
-        return ", ".join(f"{guard.name} -> {guard.then}" for guard in self.guards)
-
-    @property
-    def on(self) -> str:
-        """The contacts that are on, for people."""
-        how = "held" if self.held else "open or closed"
-        return f"{how}: {', '.join(self.contacts)}" if self.contacts else "no contact"
-
-
-# ---- phase entries ----------------------------------------------------------------------------
-# Section `phases`: what holds in each phase of a motion, what ends it, and what is reset then.
-
 
 MAX_PHASES = 200  # each is a system of its own
 _OF_CONTACTS = ("lift_off", "slip", "tip", "force")  # that are held

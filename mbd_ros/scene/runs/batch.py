@@ -13,6 +13,8 @@ from mbd_ros.methods.simulation.sample_blocks import sample_times
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.compiling import Impossible, attempted
+from mbd_ros.scene.runs.simulation import build_simulation
+from mbd_ros.scene.variants import with_numbers
 
 if TYPE_CHECKING:
     from mbd_ros.compiled.runs.lane_runs import LaneRuns
@@ -84,10 +86,10 @@ class Batch:
     Args:
         scene: The scene.
         count: How many runs.
-        parameters: Names of numbers that differ, as `Scene.with_` takes them.
+        parameters: Names of numbers that differ, as `with_numbers` takes them.
         threads: How many cores work at the same time; all by default.
         tell: Is told what takes time.
-        **options: As for `Scene.simulation`: integrator, dt, stabilization, solver. With the
+        **options: As for `build_simulation`: integrator, dt, stabilization, solver. With the
             solver `compiled` it is an error where there are no lanes; with `plain` or a tier
             there are none.
 
@@ -121,7 +123,7 @@ class Batch:
         self._alone: Simulation | None = None
         self._may = chosen.compiles or (entry is None and "solver" not in scene.entries)
         self.how = "plain steps, run after run"
-        self._simulation: Simulation = scene.simulation(**self._options)
+        self._simulation = build_simulation(scene, **self._options)
         if not self.parameters:
             self._prepare(scene, np.zeros(0))
 
@@ -148,7 +150,9 @@ class Batch:
             self.how = f"not compiled: {why}"
             return
         entry = {**self._options["solver"], "type": "compiled" if self._must else "auto"}
-        self._alone = self.scene.simulation(**self._options | {"solver": entry}, tell=self._tell)
+        self._alone = build_simulation(
+            self.scene, **self._options | {"solver": entry}, tell=self._tell
+        )
         self.how = f"run after run, {self._alone.how}; side by side: {why}"
 
     def prepare(self, parameters: Array) -> None:
@@ -221,7 +225,7 @@ class Batch:
         if not self.parameters:
             return self.scene
         try:
-            return self.scene.with_(dict(zip(self.parameters, p.tolist(), strict=True)))
+            return with_numbers(self.scene, dict(zip(self.parameters, p.tolist(), strict=True)))
         except MbdError as error:
             raise type(error)(f"run {run}: {error}") from error
 
@@ -243,7 +247,7 @@ class Batch:
                 states[i], known[i] = np.nan, 0
             left = np.flatnonzero((known < len(due)) & (known > 0))
         for i in left.tolist():  # also what left the lanes: the plain tier says why, or goes on
-            simulation = self._alone or scenes[i].simulation(**self._options)
+            simulation = self._alone or build_simulation(scenes[i], **self._options)
             known[i], failure = run_alone(simulation, x.state(i, t), duration, states[i])
             if failure is not None:
                 failures[i] = failure
@@ -262,7 +266,7 @@ class Batch:
         for i, scene in enumerate(scenes):
             try:
                 if self.parameters:
-                    simulation = scene.simulation(**self._options)
+                    simulation = build_simulation(scene, **self._options)
                 rows[i] = np.concatenate(simulation.start(x.state(i, t))[1:4])
             except MbdError as error:
                 failures[i] = error
@@ -272,7 +276,7 @@ class Batch:
         from mbd_ros.compiled.runs.lane_method import lane_runs
         from mbd_ros.scene.runs.compiling import traced
 
-        one = scene.simulation(**self._options) if self.parameters else self._simulation
+        one = build_simulation(scene, **self._options) if self.parameters else self._simulation
         return lane_runs(
             *(one.system, one.integrator, one.stabilization, one.dt),
             lambda: traced(scene, one.system, self.parameters),

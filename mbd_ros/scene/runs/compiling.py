@@ -15,10 +15,10 @@ from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.projection.assembly import Stabilization, assemble
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.from_python import changed_origin
-from mbd_ros.scene.numbers import Place, found_place, places_of, set_value
-from mbd_ros.scene.reading.building import Site, named_entry, parts_in
+from mbd_ros.scene.reading.building import Site, named_entry
 from mbd_ros.scene.reading.part_entries import part_of
+from mbd_ros.scene.schema.sections import parts_in
+from mbd_ros.scene.variants import Place, found_place, places_of, set_value, with_numbers
 
 if TYPE_CHECKING:
     from mbd_ros.compiled.runs.compiled_method import CompiledMethod
@@ -183,7 +183,7 @@ def traced(
     Args:
         scene: The scene.
         system: One that it made; a new one by default.
-        parameters: `<name of a part>.<argument>`, as `Scene.with_` takes them: p, in this order.
+        parameters: `<name of a part>.<argument>`, as `with_numbers` takes them: p, in this order.
         mode: Of rows that give way at events.
 
     Raises:
@@ -206,7 +206,7 @@ def parts_of_symbols(scene: Scene, symbols: Mapping[str, Any]) -> dict[str, Part
     Raises:
         SceneError: Names a parameter that no part has.
     """
-    origin, places = changed_origin(scene), places_of(scene)
+    origin, places = scene.origin.changed(), places_of(scene)
     entries, changed = dict(scene.entries), dict[Place, str]()
     for key, symbol in symbols.items():
         link, _, number = key.rpartition(".")
@@ -257,7 +257,7 @@ def compiled_system(
 
     Args:
         scene: The scene.
-        parameters: Values by name, as `Scene.with_` takes them.
+        parameters: Values by name, as `with_numbers` takes them.
         solver: Entry that replaces that of the scene; of it, the tier counts.
         tell: Is told what takes time.
 
@@ -266,7 +266,7 @@ def compiled_system(
         SceneError: Names a parameter that no part has.
     """
     given = dict(parameters or {})
-    changed = scene.with_(given) if given else scene
+    changed = with_numbers(scene, given) if given else scene
     system = changed.system((), solver)
 
     def take() -> "CompiledSystem":

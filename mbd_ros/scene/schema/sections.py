@@ -223,6 +223,15 @@ def keys(table: Iterable[Section]) -> tuple[str, ...]:
     return tuple(section.key for section in table)
 
 
+def parts_in(section: Section, built: Any) -> tuple[Any, ...]:
+    """The parts of a section, whatever its form."""
+    if section.form is Form.LIST:
+        return tuple(built)
+    if section.form is Form.NAMED and isinstance(built, Mapping):
+        return tuple(built.values())
+    return (built,)
+
+
 def ordered(table: Sequence[Section]) -> list[Section]:
     """The sections in the order of building: each after those it names, else as in the table.
 

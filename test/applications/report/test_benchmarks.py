@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import pytest
 
+from mbd_ros.api import load_scene
 from mbd_ros.applications.report.precision.reference_problems import (
     PROBLEMS,
     at_times,
     error,
     reference,
 )
-from mbd_ros.scene.reader import load_scene
 
 BY_NAME = {problem.name: problem for problem in PROBLEMS}
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from report_runs import RUNS, run_of
 
+from mbd_ros.api import load_scene
 from mbd_ros.applications.report.items import Item
 from mbd_ros.applications.report.left_out import kind as left_out
 from mbd_ros.applications.report.left_out.kind import operations
@@ -23,7 +24,6 @@ from mbd_ros.applications.report.precision.pareto import Point, cheapest, cost_a
 from mbd_ros.applications.report.precision.reference_problems import PROBLEMS, SCENES
 from mbd_ros.applications.report.precision.text import brief, compose, power
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.strict_yaml import read_mapping
 
 PENDULUM = f"{SCENES}/a01_pendulum_maximal.yaml"

@@ -10,6 +10,7 @@ from places import ROOT
 from scipy.integrate import simpson, solve_ivp
 from symbolic_numbers import Symbols
 
+from mbd_ros.api import scene_from
 from mbd_ros.core.contracts import Actuator, Channel, Internal, Load, Part
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.loads.inputs import HeldTable
@@ -28,7 +29,6 @@ from mbd_ros.parts.constraints.dry_friction import DryFriction
 from mbd_ros.parts.integrators.adams import Adams
 from mbd_ros.parts.integrators.rk4 import Rk4
 from mbd_ros.parts.stabilization.none import NoStabilization
-from mbd_ros.scene.from_python import scene_from
 
 NOT_ITS_OWN = ("type", "name")
 METHODS = {  # dt of the tests of order

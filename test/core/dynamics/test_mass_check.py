@@ -5,12 +5,12 @@ import re
 import numpy as np
 import pytest
 
+from mbd_ros.api import load_scene
 from mbd_ros.cli import main
 from mbd_ros.core.dynamics.mass import _least_resistance
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError, SolveError
 from mbd_ros.files.tables.csv import read_table, write_table
-from mbd_ros.scene.reader import load_scene
 
 JOINT = (
     '<joint name="{0}" type="continuous"><parent link="{1}"/><child link="{2}"/>'

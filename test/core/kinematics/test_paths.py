@@ -11,12 +11,11 @@ from places import ROOT
 from scipy.integrate import simpson, solve_ivp
 from scipy.interpolate import CubicSpline
 
-from mbd_ros.api import Scene
+from mbd_ros.api import Scene, scene_from
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.reading.path_entries import path_of
 
 ROBOTS = ROOT / "config/robots"

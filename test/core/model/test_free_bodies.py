@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 from simulator_plant import plant
 
+from mbd_ros.api import load_scene
 from mbd_ros.errors import DataError
 from mbd_ros.features.inverse_dynamics.job import inverse
 from mbd_ros.features.simulation.job import simulate
@@ -19,7 +20,6 @@ from mbd_ros.files.bags.bag_reader import messages, topic_types
 from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.nodes.inverse_dynamics.pipeline import MOST, WholeSamples
-from mbd_ros.scene.reader import load_scene
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.odometry import OdometryCdrWriter, read_odometry

@@ -11,14 +11,13 @@ from places import ROOT
 from scipy.integrate import simpson
 from simulator_plant import plant
 
+from mbd_ros.api import load_scene, scene_from
 from mbd_ros.core.loads.inputs import HeldTable
 from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.errors import DataError
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.table import MAIN
 from mbd_ros.scene.describe.start_check import fiber_warnings
-from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.reader import load_scene
 
 SCENES = ROOT / "config/scenes"
 SIZES = {"max_isometric_force": 600.0, "optimal_fiber_length": 0.1, "tendon_slack_length": 0.2}

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from mechanisms import joint, link, urdf
 
+from mbd_ros.api import scene_from
 from mbd_ros.core.geometry.contact_pair import ContactPair
-from mbd_ros.scene.from_python import scene_from
 
 GRAVITY, SIDE = 9.81, 0.2
 HALF = SIDE / 2.0

@@ -12,9 +12,9 @@ from mechanisms import (
 )
 from scipy.integrate import solve_ivp
 
+from mbd_ros.api import scene_from
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError
-from mbd_ros.scene.from_python import scene_from
 
 GRAVITY = 9.81
 SLIDER = urdf(

@@ -7,9 +7,9 @@ from mechanisms import floating_body, joint, link, urdf
 from places import ROOT
 from scipy.integrate import solve_ivp
 
+from mbd_ros.api import scene_from
 from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
 from mbd_ros.core.state import State
-from mbd_ros.scene.from_python import scene_from
 
 ROBOTS = ROOT / "config/robots"
 GRAVITY = 9.81

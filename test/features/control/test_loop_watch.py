@@ -7,6 +7,7 @@ import pinocchio as pin
 import pytest
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.features.control.control_loop import ControlLoop, Guard
 from mbd_ros.features.control.loop_watch import (
     ChatterMeter,
@@ -19,7 +20,6 @@ from mbd_ros.features.control.reference import ReferenceGenerator
 from mbd_ros.methods.control.contract import LoopGains, pd_gains, sliding_gains, tolerable_delay
 from mbd_ros.methods.projection.observed_state import ObservedState
 from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.registry import resolve
 
 SCENES = ROOT / "config/scenes"

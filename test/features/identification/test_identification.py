@@ -7,7 +7,7 @@ import pinocchio as pin
 import pytest
 from identification_data import flown, fourier, moved, others, recording
 
-from mbd_ros.api import Scene
+from mbd_ros.api import Scene, load_scene, scene_from
 from mbd_ros.cli import main
 from mbd_ros.core.model.inertial_parameters import (
     is_consistent,
@@ -20,8 +20,6 @@ from mbd_ros.features.identification.base_parameters import base_parameters, exp
 from mbd_ros.features.identification.job import identify
 from mbd_ros.features.identification.regressor import Regressor, random_states
 from mbd_ros.motion.recordings import read_motion
-from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.reader import load_scene
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
 LEG = """<robot name="two_links">

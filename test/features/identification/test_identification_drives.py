@@ -5,10 +5,10 @@ import pinocchio as pin
 import pytest
 from identification_data import fourier, moved, others, recording
 
+from mbd_ros.api import scene_from
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.features.identification.job import identify
-from mbd_ros.scene.from_python import scene_from
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
 WAYS = {

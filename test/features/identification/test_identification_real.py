@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
+from mbd_ros.api import load_scene
 from mbd_ros.cli import main
 from mbd_ros.core.model.inertial_parameters import is_consistent, parameters_of
 from mbd_ros.features.identification.job import identify
-from mbd_ros.scene.reader import load_scene
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
 PANDA = "rename: {" + ", ".join(f"panda_joint{i}: fer_joint{i}" for i in range(1, 8)) + "}"

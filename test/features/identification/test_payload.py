@@ -5,11 +5,10 @@ import pinocchio as pin
 import pytest
 from identification_data import moved, others
 
+from mbd_ros.api import load_scene, scene_from
 from mbd_ros.cli import main
 from mbd_ros.features.identification.payload.job import payload
 from mbd_ros.files.table import read_result
-from mbd_ros.scene.from_python import scene_from
-from mbd_ros.scene.reader import load_scene
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
 HELD = pin.Inertia(1.7, np.array([0.01, -0.02, 0.09]), np.diag([0.004, 0.005, 0.003]))

@@ -5,9 +5,9 @@ import pinocchio as pin
 import pytest
 from identification_data import fourier
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.model.inertial_parameters import is_consistent
 from mbd_ros.features.identification.payload.recursive import RecursivePayload
-from mbd_ros.scene.reader import load_scene
 
 HELD = pin.Inertia(1.7, np.array([0.01, -0.02, 0.09]), np.diag([0.004, 0.005, 0.003]))
 

@@ -6,6 +6,7 @@ import gzip
 import numpy as np
 import pytest
 
+from mbd_ros.api import scene_from
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
@@ -17,7 +18,6 @@ from mbd_ros.features.muscles.static_optimization import (
 )
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions
 from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, reserve_on
-from mbd_ros.scene.from_python import scene_from
 
 PLATES = {
     name: {"frame": f"calcn_{name[0]}", "expressed_in": "world"} for name in ("right", "left")

@@ -8,7 +8,7 @@ from places import ROOT
 from scene_geometry import Mechanism
 from scipy.optimize import fsolve
 
-from mbd_ros.scene.reader import load_scene
+from mbd_ros.api import load_scene
 
 SCENES = ROOT / "config/scenes"
 

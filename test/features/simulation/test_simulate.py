@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.cli import main
 from mbd_ros.features.simulation.job import diverged_place
 from mbd_ros.files.bags.bag_reader import messages
 from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.motion.recordings import read_motion
-from mbd_ros.scene.reader import load_scene
 
 SCENES = ROOT / "config/scenes"
 DRIVEN = """\

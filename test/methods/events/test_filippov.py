@@ -9,6 +9,7 @@ import pytest
 from mechanisms import scene_of
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.cli import main
 from mbd_ros.core.loads.inputs import Sampled
 from mbd_ros.core.state import State
@@ -18,7 +19,6 @@ from mbd_ros.methods.events.crossings import sign_change
 from mbd_ros.methods.events.mode_field import equivalent_signs, mode_on
 from mbd_ros.parts.forces.switching_force import SwitchingForce
 from mbd_ros.parts.integrators.filippov import Filippov
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema import schema
 
 SCENES = ROOT / "config/scenes"

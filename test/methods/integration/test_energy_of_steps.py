@@ -7,7 +7,7 @@ a step could get wrong; energies are written by hand.
 import numpy as np
 import pytest
 
-from mbd_ros.scene.from_python import scene_from
+from mbd_ros.api import scene_from
 
 SIDE, MASS, GAIN = 0.2, 3.0, 1e-10
 HALF = SIDE / 2.0

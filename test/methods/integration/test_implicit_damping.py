@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from mbd_ros.api import scene_from
 from mbd_ros.applications.report.stability.scenes import mechanism, rods
 from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.methods.integration.linear_motion import LinearMotion
 from mbd_ros.parts.integrators.semi_implicit_euler import SemiImplicitEuler
-from mbd_ros.scene.from_python import scene_from
 
 DT = 1.0e-3
 BALL = """<robot name="ball"><link name="world"/><link name="ball"><inertial><mass value="2"/>

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from mbd_ros.scene.from_python import scene_from
+from mbd_ros.api import scene_from
 
 GRAVITY, MU, SPEED = 9.81, 0.2, 5.0
 METHODS = (

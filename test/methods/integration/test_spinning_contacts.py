@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbd_ros.scene.from_python import scene_from
+from mbd_ros.api import scene_from
 
 GRAVITY, RADIUS, MU, SPEED = 9.81, 0.1, 0.2, 5.0
 

@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 
 import mbd_ros as mbd
+from mbd_ros.api import load_scene
 from mbd_ros.applications.report.stability.scenes import mechanism, rods
 from mbd_ros.errors import DivergedError, MbdError, SolveError
 from mbd_ros.features.simulation import checks
 from mbd_ros.features.simulation.checks import step_warnings
 from mbd_ros.methods.integration.linear_motion import fastest_rate, linear_motion, longest_step
 from mbd_ros.parts.forces.joint_spring import JointSpring
-from mbd_ros.scene.built_scene import DEFAULT_INTEGRATOR, DEFAULT_STABLE
 from mbd_ros.scene.describe.check import describe
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
+from mbd_ros.scene.runs.simulation import DEFAULT_INTEGRATOR, DEFAULT_STABLE
 
 NEAR_TOGGLE = "package://mbd_ros/config/scenes/benchmark/x02_four_bar_1e-6.yaml"
 SPRING = {"type": "joint_spring", "joint": "j0", "stiffness": 1e4}

@@ -7,6 +7,7 @@ from inverse_dynamics import ARM, CHAIN
 from mechanisms import floating_body, four_bar, four_bar_closure
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.loads.external_loads import ExternalWrench
@@ -24,7 +25,6 @@ from mbd_ros.parts.constraints.loop_closure import LoopClosure
 from mbd_ros.parts.constraints.prescribed_motion import PrescribedMotion
 from mbd_ros.parts.forces.joint_friction import JointFriction
 from mbd_ros.parts.forces.joint_spring import JointSpring
-from mbd_ros.scene.reader import load_scene
 
 SCENES = ROOT / "config/scenes"
 

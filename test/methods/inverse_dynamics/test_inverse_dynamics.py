@@ -9,6 +9,7 @@ import pinocchio as pin
 import pytest
 from inverse_dynamics import ARM, CHAIN, CONFIG
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.model.couplings import Couplings
@@ -17,7 +18,6 @@ from mbd_ros.core.state import NONE, State
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.parts.forces.joint_friction import JointFriction
 from mbd_ros.parts.forces.joint_spring import JointSpring
-from mbd_ros.scene.reader import load_scene
 
 
 def arm(coupled=True, loaded=True, sprung=True, base="fixed"):

@@ -8,6 +8,7 @@ import pytest
 from mechanisms import floating_body
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.contracts import Wrench
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.kinematics.kinematics import Kinematics
@@ -28,7 +29,6 @@ from mbd_ros.parts.forces.gravity_compensation import GravityCompensation
 from mbd_ros.parts.forces.joint_spring import JointSpring
 from mbd_ros.parts.forces.point_spring import PointSpring
 from mbd_ros.parts.forces.prescribed_wrench import PrescribedWrench
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.learned_entries import with_files
 from mbd_ros.scene.reading.path_entries import with_paths
 from mbd_ros.scene.schema import schema

@@ -5,8 +5,8 @@ import pinocchio as pin
 import pytest
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.methods.simulation.simulation import seen_at
-from mbd_ros.scene.reader import load_scene
 
 SCENES = ROOT / "config/scenes"
 GRAVITY = 9.81

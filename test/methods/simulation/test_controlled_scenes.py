@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from mbd_ros.scene.reader import load_scene
+from mbd_ros.api import load_scene
 
 SCENES = ROOT / "config/scenes"
 

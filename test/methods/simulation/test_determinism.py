@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.state import is_same
 from mbd_ros.core.thresholds import ON_MANIFOLD
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.methods.simulation.sample_blocks import Checkpoint
-from mbd_ros.scene.reader import load_scene
 
 sys.path.append(str(ROOT / "benchmarks"))
 

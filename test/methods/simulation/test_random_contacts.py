@@ -12,8 +12,8 @@ import pytest
 from contact_oracle import Oracle
 from random_contacts import MAKERS, case
 
+from mbd_ros.api import scene_from
 from mbd_ros.errors import SolveError
-from mbd_ros.scene.from_python import scene_from
 
 SHARE = 0.4  # of the time after which most of them rest
 DEPTH = 1e-9  # of the size of a body

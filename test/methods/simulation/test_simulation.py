@@ -5,12 +5,12 @@ import pytest
 from mechanisms import scene_of
 from places import ROOT
 
+from mbd_ros.api import load_scene
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.loads.inputs import HeldTable
 from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.methods.projection.assembly import violation
-from mbd_ros.scene.reader import load_scene
 
 SCENES = ROOT / "config/scenes"
 

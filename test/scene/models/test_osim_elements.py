@@ -25,8 +25,8 @@ from osim_models import (
     turn,
 )
 
+from mbd_ros.api import scene_from
 from mbd_ros.core.model.couplings import simm_spline
-from mbd_ros.scene.from_python import scene_from
 from mbd_ros.scene.models.urdf_text import roll_pitch_yaw
 
 KINDS = {

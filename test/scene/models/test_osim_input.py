@@ -16,8 +16,8 @@ from osim_models import (
     model,
 )
 
+from mbd_ros.api import load_scene
 from mbd_ros.errors import SceneError
-from mbd_ros.scene.reader import load_scene
 
 GOOD = chain(ConstraintSet=COUPLERS)
 BAD = {

@@ -15,6 +15,8 @@ from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
 from mbd_ros.files.table import Column, Table
 from mbd_ros.methods.simulation.simulation import Simulation
+from mbd_ros.scene.runs.simulation import build_simulation
+from mbd_ros.scene.variants import with_numbers
 
 SCENE = "press"
 DURATION, STEP = 4.0, 0.005  # s: of a run, of the samples
@@ -102,8 +104,10 @@ class _Press:
     """The machine: a simulation whose drive keeps the speed of the crank."""
 
     def __init__(self, scene: Scene, fault: str) -> None:
-        self._sound = scene.simulation()
-        self._faulty = scene.with_(dict(HYPOTHESES[fault])).simulation() if fault else None
+        self._sound = build_simulation(scene)
+        self._faulty = (
+            build_simulation(with_numbers(scene, dict(HYPOTHESES[fault]))) if fault else None
+        )
         self.at: Simulation = self._sound
         self._y = self.at.start(scene.initial, np.zeros(1))
 
@@ -155,7 +159,7 @@ def _tracker(estimation: Estimation) -> Tracker:
 
 def _naming(scene: Scene, found: Estimation) -> FaultNaming:
     systems = {
-        name: made_ready(scene.with_(dict(numbers)), found.task, found.disturbed).system()
+        name: made_ready(with_numbers(scene, dict(numbers)), found.task, found.disturbed).system()
         for name, numbers in HYPOTHESES.items()
     }
     at = np.array([scene.robot.joint(name).v for name in found.disturbed], dtype=np.intp)

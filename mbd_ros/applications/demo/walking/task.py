@@ -6,6 +6,7 @@ import numpy as np
 
 from mbd_ros.api import Scene, load_scene
 from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.scene.variants import with_sections
 
 SCENE = "muscle_leg"
 DURATION, STEP = 0.42, 0.005  # s: of a swing in walking; of the cameras
@@ -55,7 +56,7 @@ def marked_leg() -> Scene:
         name: {"type": "marker", "frame": frame, "xyz": xyz, "noise": NOISE}
         for name, (frame, xyz) in MARKERS.items()
     }
-    return load_scene(SCENE).with_(sensors=sensors, initial=_START)
+    return with_sections(load_scene(SCENE), sensors=sensors, initial=_START)
 
 
 def excitations(scene: Scene) -> Result:

@@ -30,6 +30,7 @@ from mbd_ros.methods.simulation.checked_steps import stepper_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
+from mbd_ros.scene.variants import with_sections
 
 _CALLS, _DT, _MU = 200, 1.0e-4, 0.5
 _ARM = "package://mbd_ros/config/scenes/arm7.yaml"
@@ -107,7 +108,9 @@ def _over(scene: Scene, height: float) -> Scene:
     """The scene with a ground at a height, for a point of the last link."""
     ground = {"half_space": [0.0, 0.0, 1.0], "xyz": [0.0, 0.0, height]}
     point = {"frame": "link7", "points": [[0.0, 0.0, 0.0]]}
-    return scene.with_(contacts=[{"type": "rigid", "between": [point, ground], "friction": _MU}])
+    return with_sections(
+        scene, contacts=[{"type": "rigid", "between": [point, ground], "friction": _MU}]
+    )
 
 
 def _step(scene: Scene, name: str, x: State, dt: float = _DT) -> Call:

@@ -21,6 +21,7 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
 from mbd_ros.scene.runs.compiling import attempted, traced
+from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.schema.code_permission import is_permitted
 
 # Operations of the equations of a scene, and which of them its parts add.
@@ -143,7 +144,7 @@ def costs(path: str, calls: int) -> Mapping[str, object]:
         calls: Timed calls of each, five times over.
     """
     scene = load_scene(path)
-    simulation = scene.simulation()
+    simulation = build_simulation(scene)
     system, y = simulation.system, simulation.start(scene.initial)
     x = system.expand(y)
     model, data, zero = system.model, system.model.createData(), np.zeros(system.model.nv)
@@ -168,7 +169,8 @@ def costs(path: str, calls: int) -> Mapping[str, object]:
 def _step(scene: Scene, more: Mapping[str, Mapping[str, str]], calls: int) -> float:
     """One step as the scene corrects it [us]."""
     stabilization = {"type": "projection"} if more or scene.system().rows else None
-    simulation = scene.simulation(
+    simulation = build_simulation(
+        scene,
         integrator={"type": "semi_implicit_euler"},
         dt=_SHORT,
         stabilization=stabilization,

@@ -6,6 +6,8 @@ python -m mbd_ros.applications.report.left_out.probe SCENE [--allow-code]
 import json
 import sys
 
+from mbd_ros.scene.runs.simulation import build_simulation
+
 LIBRARIES = (
     "proxsuite",
     "qpsolvers",
@@ -27,7 +29,7 @@ def main() -> int:
 
     with permitting("--allow-code" in sys.argv[2:]):
         scene = load_scene(sys.argv[1])
-    simulation = scene.simulation()
+    simulation = build_simulation(scene)
     y = simulation.start(scene.initial)
     simulation.advance(y, None, y.t + scene.dt)
     known = {target.split(":")[0] for parts in PARTS.values() for target in parts.values()}

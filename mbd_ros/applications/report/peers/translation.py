@@ -13,6 +13,8 @@ from mbd_ros.core.rows.constraint import Constraint, Kind
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reading.coupling_entries import coupling_kinds
+from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.schema.sections import SECTIONS, keys
 
 # ---- task -------------------------------------------------------------------------------------
@@ -298,7 +300,7 @@ def task_of(ground: Ground, states: Sequence[State] = ()) -> Task:
     scene = ground.scene
     if others := [base.name for base in scene.robot.bases if base.joint > 1]:
         raise SceneError(f"bodies: peers take one free body, the first, not {', '.join(others)}")
-    simulation = scene.simulation()
+    simulation = build_simulation(scene)
     x = simulation.system.expand(simulation.start(scene.initial))
     rows = Rows(scene, [x, *states])
     for entry in ground.constraints:
@@ -375,7 +377,7 @@ def _couplings(scene: Scene) -> Iterator[Follow]:
         elif "polynomial" in given[name]:
             coefficients = tuple(float(c) for c in given[name]["polynomial"])
         else:
-            kind = scene.coupling_kinds[name]
+            kind = coupling_kinds(scene)[name]
             raise SceneError(f"couplings.{name}: peers take polynomials, not {kind}")
         yield Follow(bodies[link.child_v], bodies[link.parent_v], coefficients)
 

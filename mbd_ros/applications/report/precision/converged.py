@@ -19,6 +19,7 @@ from mbd_ros.errors import MbdError, SceneError, SolveError
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
+from mbd_ros.scene.runs.simulation import build_simulation
 
 # ---- choices ----------------------------------------------------------------------------------
 # Choices for a scene: formulation, stabilization, integrator, step.
@@ -65,7 +66,8 @@ class Choice(NamedTuple):
 
     def build(self, scene: Scene) -> Simulation:
         """The simulation of a scene that is chosen."""
-        return scene.simulation(
+        return build_simulation(
+            scene,
             integrator=self.integrator,
             dt=self.dt,
             stabilization=self.stabilization,
@@ -104,7 +106,7 @@ def formulations(scene: Scene) -> list[str]:
 
 def compiles(scene: Scene, integrator: Mapping[str, Any]) -> bool:
     """Whether `auto` takes compiled steps; not where extra or compiler are missing."""
-    simulation = scene.simulation(integrator=integrator, solver={"type": "auto"})
+    simulation = build_simulation(scene, integrator=integrator, solver={"type": "auto"})
     return simulation.how.startswith(COMPILED)
 
 

@@ -35,6 +35,7 @@ from mbd_ros.applications.report.stability.scenes import item_name
 from mbd_ros.applications.report.stability.verdicts import ASKED
 from mbd_ros.core.state import Array, State
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.runs.simulation import build_simulation
 
 # ---- contact rows -----------------------------------------------------------------------------
 # Rows of the map with contacts: extreme contact problems whose motion is known.
@@ -284,7 +285,7 @@ def faults(problem: Problem, scene: Scene, states: Sequence[State]) -> str:
 
 def _attempt(problem: Problem, scene: Scene, method: str, dt: float) -> tuple[float, str]:
     """The error of a run, and its first fault."""
-    simulation = scene.simulation(integrator=CONTACT_METHODS[method], dt=dt)
+    simulation = build_simulation(scene, integrator=CONTACT_METHODS[method], dt=dt)
     states = list(simulation.run(scene.initial, problem.times[-1]))
     if fault := faults(problem, scene, states):
         return math.inf, fault

@@ -15,6 +15,8 @@ from mbd_ros.applications.report.stability.scenes import mechanism, rod, rods
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
 from mbd_ros.methods.simulation.simulation import Simulation
+from mbd_ros.scene.reading.coupling_entries import coupling_kinds
+from mbd_ros.scene.runs.simulation import build_simulation
 
 # Small scenes without friction, for a million steps.
 
@@ -148,8 +150,8 @@ def run(spec: Spec) -> Outcome:
     samples: list[RunSample] = []
     try:
         entry = _METHODS[spec["method"]]
-        solver = "kkt" if spec["method"] in _KEEPERS and loaded.scene.coupling_kinds else "plain"
-        simulation = scene.simulation(integrator=entry, dt=dt, solver={"type": solver})
+        solver = "kkt" if spec["method"] in _KEEPERS and coupling_kinds(loaded.scene) else "plain"
+        simulation = build_simulation(scene, integrator=entry, dt=dt, solver={"type": solver})
         swing = _follow(simulation, scene.initial, steps, oracle, samples)
         found["fastest"] = float(f"{starting_rate(scene):.6g}")
         found["swing"] = float(f"{swing:.6g}")

@@ -13,6 +13,7 @@ from mbd_ros.errors import MbdError, SolveError
 from mbd_ros.methods.integration.linear_motion import LinearMotion, fastest_rate, linear_motion
 from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.runs.simulation import build_simulation
 
 # ---- motion -----------------------------------------------------------------------------------
 # Runs of a scene, kept on a grid of times.
@@ -62,7 +63,9 @@ def motion(
     every = max(1, round(grid.interval / dt))
     try:
         start = others.pop("start", scene.initial)
-        simulation = scene.simulation(integrator=method, dt=dt, solver={"type": solver}, **others)
+        simulation = build_simulation(
+            scene, integrator=method, dt=dt, solver={"type": solver}, **others
+        )
         for x in simulation.run(start, grid.span):
             found.append(x)
     except MbdError as error:

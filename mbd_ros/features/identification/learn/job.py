@@ -23,6 +23,7 @@ from mbd_ros.jobs.progress import Say, Watch, share_watch, watching
 from mbd_ros.methods.learned import TrainingRange, numbers_of
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.variants import with_sections
 
 
 def learn(
@@ -119,7 +120,7 @@ def without_model(scene: Scene) -> Scene:
     """The scene without a model that was learned before."""
     given = scene.entries.get("forces") or []
     kept = [entry for entry in given if entry.get("type") != "learned_torque"]
-    return scene if len(kept) == len(given) else scene.with_(forces=kept)
+    return scene if len(kept) == len(given) else with_sections(scene, forces=kept)
 
 
 def physics_of(scene: Scene, task: Task, say: Say) -> Scene:

@@ -21,6 +21,8 @@ from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline, refuse_unknown
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.runs.simulation import build_simulation
+from mbd_ros.scene.variants import with_numbers
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample
 from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
@@ -150,7 +152,7 @@ class TwinPipeline(EstimatorPipeline):
         """
         assert self.tracker is not None
         belief, joints = self.tracker.belief, self.scene.robot.joints
-        simulation = self.estimation.scene.simulation()
+        simulation = build_simulation(self.estimation.scene)
         system = simulation.system
         y = simulation.start(self._system.expand(belief.x), self._newest_u)
         times = np.arange(1, max(1, round(horizon / step)) + 1) * step
@@ -218,7 +220,7 @@ def hypothesis_systems(scene: Scene, found: Estimation, texts: Sequence[str]) ->
         if not name.strip() or not given.strip():
             raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}")
         try:
-            changed = scene.with_(_numbers(text, given))
+            changed = with_numbers(scene, _numbers(text, given))
             systems[name.strip()] = made_ready(changed, found.task, found.disturbed).system()
         except MbdError as error:
             raise ParameterError(f"hypotheses: '{text}': {error}") from error

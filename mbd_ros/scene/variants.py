@@ -1,28 +1,65 @@
-"""A scene with other numbers: `<name>.<argument>`, of which only the parts are built again."""
+"""A scene with other sections, inertias or numbers, built again as far as they change it.
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+The new scene is of the class of the old one.
+"""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import fields
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from mbd_ros.errors import SceneError
+from mbd_ros.core.model import robot_reader
+from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.from_python import changed_origin, plain, rebuilt, with_inertias
-from mbd_ros.scene.reading.building import Kept, Origin, parts_in
+from mbd_ros.scene.from_python import plain
+from mbd_ros.scene.origin import Origin
+from mbd_ros.scene.reader import build_scene
+from mbd_ros.scene.reading.building import Kept, present
+from mbd_ros.scene.schema.code_permission import code_of_others, is_permitted, permitting
 from mbd_ros.scene.schema.nearest import nearest
-from mbd_ros.scene.schema.sections import SECTIONS, Form, Section, keys
+from mbd_ros.scene.schema.sections import SECTIONS, Form, Section, keys, ordered, parts_in
 
 _OF_LINKS = ("mass", "com", "inertia")
+SceneKind = TypeVar("SceneKind", bound=Scene)
+AnyKind = TypeVar("AnyKind")
 
 
-class Place(NamedTuple):
-    """Where an entry stands: its section, and its place or key there, None where it is alone."""
+def with_sections(scene: AnyKind, /, **sections: Any) -> AnyKind:
+    """A scene with other sections; sections that do not come after them are kept.
 
-    section: str
-    at: int | str | None = None
+    Args:
+        scene: A scene of robots, or of particles.
+        **sections: As `scene_from` takes them; None removes a section.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    origin = scene.origin.changed()
+    changes = plain(sections, origin.name)
+    entries = present({**scene.entries, **changes})
+    if isinstance(scene, Scene):
+        return _rebuilt(scene, origin, entries, changes)
+    from mbd_ros.scene.particles.particle_scene import build_particle_scene
+
+    return _of_class(scene, build_particle_scene(origin, entries))
 
 
-def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
+def with_inertias(scene: SceneKind, inertias: Mapping[str, Any]) -> SceneKind:
+    """A scene whose robot has other inertias, as `robot_reader.with_inertias` takes them.
+
+    Raises:
+        SceneError: Names link, value and condition.
+    """
+    origin = scene.origin.changed()
+    try:
+        robot = robot_reader.with_inertias(scene.parts["robot"], inertias)
+    except ModelError as error:
+        raise SceneError(f"{origin.name}: robot: {error}") from error
+    return _rebuilt(scene, origin, scene.entries, {"robot"}, Kept({"robot": robot}))
+
+
+def with_numbers(scene: SceneKind, numbers: Mapping[str, Any]) -> SceneKind:
     """A scene with other numbers; parts, and sections that depend on none of them, are kept.
 
     Args:
@@ -34,7 +71,7 @@ def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    origin, places = changed_origin(scene), places_of(scene)
+    origin, places = scene.origin.changed(), places_of(scene)
     numbers, inertias = _without_inertias(scene, origin, places, numbers)
     if inertias:
         scene = with_inertias(scene, inertias)
@@ -51,15 +88,62 @@ def with_numbers(scene: Scene, numbers: Mapping[str, Any]) -> Scene:
     touched = [
         section for section in scene.sections if section.key in {p.section for p in changed}
     ]
-    made = (
-        Kept()
-    )  # what is no part of its own, such as a path, may be what other parts are made of
+    made = Kept()
     if all(section.has_types for section in touched):
         made = Kept(parts={section.key: _others(scene, section, changed) for section in touched})
-        found = rebuilt(scene, origin, entries, keys(touched), made, keys(SECTIONS))
+        found = _rebuilt(scene, origin, entries, keys(touched), made, keys(SECTIONS))
         if np.array_equal(found.robot.model.armature, scene.robot.model.armature):
             return found  # of other parts, ours depend on the inertia of drives only
-    return rebuilt(scene, origin, entries, keys(touched), made)
+    # What is no part of its own, such as a path, may be what other parts are made of.
+    return _rebuilt(scene, origin, entries, keys(touched), made)
+
+
+def _rebuilt(
+    scene: SceneKind,
+    origin: Origin,
+    entries: Mapping[str, Any],
+    changed: Iterable[str],
+    made: Kept = Kept(),  # noqa: B008, a constant
+    untouched: Sequence[str] = (),
+) -> SceneKind:
+    """The scene of other entries, without building again what they do not change.
+
+    Args:
+        scene: The scene.
+        origin: Of the new one.
+        entries: Of the new one.
+        changed: Keys of sections that are built again, and with them what comes after them.
+        made: What of those is built already.
+        untouched: Keys of sections that come after them and do not depend on what is changed.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    anew = set(changed)
+    for section in ordered(scene.sections):
+        if anew.intersection(section.after) and section.key not in untouched:
+            anew.add(section.key)
+    kept = {key: part for key, part in scene.parts.items() if key not in anew}
+    trusted = set(scene.code.values())  # was permitted when the scene was built
+    code = code_of_others(entries, tuple(key for key in entries if key in scene.code))
+    is_known = trusted.issuperset(code.values()) and set(entries) <= set(keys(scene.sections))
+    with permitting(is_permitted() or (bool(trusted) and is_known)):
+        built = build_scene(origin, entries, Kept({**kept, **made.sections}, made.parts))
+    return _of_class(scene, built)
+
+
+def _of_class(scene: Any, built: Any) -> Any:
+    """A built scene of the class of another one."""
+    if type(built) is type(scene):
+        return built
+    return type(scene)(*(getattr(built, field.name) for field in fields(built) if field.init))
+
+
+class Place(NamedTuple):
+    """Where an entry stands: its section, and its place or key there, None where it is alone."""
+
+    section: str
+    at: int | str | None = None
 
 
 def _without_inertias(
