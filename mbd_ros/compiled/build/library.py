@@ -1,4 +1,12 @@
-"""Native code in this process, kept in the cache folder of the user."""
+"""Native code in this process, kept in the cache folder of the user.
+
+A library stands in the folder under its key, with a digest of key and content at its end: what was
+cut, changed or copied from elsewhere is built again and never executed. It is written beside and
+put in place in one step, under a lock, so that processes that want the same one wait for one
+another and one that was killed leaves nothing that counts.
+"""
+
+from __future__ import annotations
 
 import ctypes
 import fcntl
@@ -19,252 +27,23 @@ from mbd_ros.compiled.build.compiler import FLAGS, BuildError, Compiler, cpu, fi
 from mbd_ros.compiled.code.source import Signature, Source
 from mbd_ros.core.state import Array
 
-# ---- cache ------------------------------------------------------------------------------------
-# Compiled libraries in the cache folder of the user.
-#
-# A library stands in the folder under its key, with a digest of key and content at its end: what
-# was cut, changed or copied from elsewhere is built again and never executed. It is written beside
-# and put in place in one step, under a lock, so that processes that want the same one wait for one
-# another and one that was killed leaves nothing that counts.
-
-
 Say = Callable[[str], None]
 Build = Callable[[Path], Path]
 _DIGEST = 64  # characters
 _UNUSED = 90 * 86400.0  # s after which a library is removed when another one is built
-
-
-def cache_folder() -> Path:
-    """Where libraries are kept; it need not exist.
-
-    Raises:
-        OSError: The user has no home.
-    """
-    named = os.environ.get("XDG_CACHE_HOME", "")
-    home = os.path.expanduser("~")
-    if not (named.startswith("/") or home.startswith("/")):
-        raise OSError("no home folder of the user, and no XDG_CACHE_HOME")
-    root = Path(named) if named.startswith("/") else Path(home) / ".cache"
-    return root / "mbd_ros" / "compiled"
-
-
-def kept(key: str, build: Build, say: Say, *, again: bool = False) -> bytes:
-    """The library of a key in the cache folder, built there if need be.
-
-    What is loaded are these bytes and not the file, which may change meanwhile.
-
-    Args:
-        key: Of the library: letters and digits.
-        build: Makes it in the folder that it is given.
-        say: Is told what is waited for.
-        again: Build it even if there is one.
-
-    Raises:
-        BuildError: The folder is not to be trusted, or the library cannot be built.
-        OSError: The folder cannot be used.
-    """
-    folder = cache_folder()
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-    _check(folder)
-    library = folder / f"{key}.so"
-    found = None if again else _intact(library, key)
-    if found is not None:
-        return found
-    with _lock(folder / f"{key}.lock", say):
-        found = None if again else _intact(library, key)
-        if found is not None:
-            return found
-        for left in folder.glob(f"{key}.*.part"):  # of a process that was killed
-            shutil.rmtree(left, ignore_errors=True)
-        _remove_unused(folder)
-        part = Path(tempfile.mkdtemp(prefix=f"{key}.", suffix=".part", dir=folder))
-        try:
-            return _put(build(part), library, key)
-        finally:
-            shutil.rmtree(part, ignore_errors=True)
-
-
-@contextmanager
-def private() -> Iterator[Path]:
-    """A folder of this process alone, removed afterwards: what is loaded stays loaded.
-
-    Raises:
-        BuildError: There is no place for one, or it cannot be written.
-    """
-    try:
-        with tempfile.TemporaryDirectory(prefix="mbd_ros_", ignore_cleanup_errors=True) as name:
-            yield Path(name)
-    except OSError as error:
-        place = error.filename or "the folder for temporary files"
-        raise BuildError(f"{place}: {error.strerror or error}") from error
-
-
-def _check(folder: Path) -> None:
-    """Whether only the user can write to a folder.
-
-    Raises:
-        BuildError: Somebody else can.
-    """
-    status = folder.stat()
-    if status.st_uid != os.geteuid():
-        raise BuildError(f"{folder} belongs to another user")
-    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
-        raise BuildError(f"{folder} can be written by others: chmod go-w {folder}")
-
-
-def _intact(library: Path, key: str) -> bytes | None:
-    """The library that was put in a place under this key by the user, None without."""
-    try:
-        with library.open("rb") as file:
-            status = os.fstat(file.fileno())
-            content = file.read()
-    except OSError:
-        return None
-    others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    own = stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid() and not others
-    found, digest = content[:-_DIGEST], content[-_DIGEST:]
-    if not own or digest != _digest(key, found):
-        return None
-    with suppress(OSError):
-        os.utime(library)
-    return found
-
-
-def _remove_unused(folder: Path) -> None:
-    """Removes what nobody has loaded for long."""
-    before = time.time() - _UNUSED
-    for path in (*folder.glob("*.so"), *folder.glob("*.lock")):
-        with suppress(OSError):
-            if path.stat().st_mtime < before:
-                path.unlink()
-
-
-def _digest(key: str, content: bytes) -> bytes:
-    return hashlib.sha256(key.encode() + content).hexdigest().encode()
-
-
-def _put(built: Path, library: Path, key: str) -> bytes:
-    """Puts a library in its place, whole or not at all, and gives its content."""
-    content = built.read_bytes()
-    with built.open("ab") as file:
-        file.write(_digest(key, content))
-        file.flush()
-        os.fsync(file.fileno())
-    built.chmod(0o600)
-    built.replace(library)
-    return content
-
-
-@contextmanager
-def _lock(path: Path, say: Say) -> Iterator[None]:
-    """Waits until no other process builds the same; file systems without locks do not wait."""
-    with path.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            say("another process compiles the same: waiting for it")
-            fcntl.flock(file, fcntl.LOCK_EX)
-        except OSError:
-            say("the cache folder has no locks: compiling without")
-        yield
-
-
-# ---- aligned ----------------------------------------------------------------------------------
-# Arrays where vectors of the processor may stand.
-
-
 _ALIGNED = 64  # bytes, of the widest vectors
-
-
-def aligned(size: int, lanes: int = 1) -> Array:
-    """Zeros, shape (size,), or (size, lanes) where each is a vector of several numbers."""
-    room = np.zeros(size * lanes + _ALIGNED // 8)
-    first = -room.ctypes.data % _ALIGNED // 8
-    values = room[first : first + size * lanes]
-    return values if lanes == 1 else values.reshape(size, lanes)
-
-
-# ---- library ----------------------------------------------------------------------------------
-# Native code in this process.
-
-
 _SECONDS = 12  # characters
 _FORMAT = "the library, then the seconds that it took"
 _loaded = itertools.count(1)
+Check = Callable[["Library"], None]
 
 
 def _silent(line: str) -> None:
     """Says nothing."""
 
 
-def _trusted(library: "Library") -> None:
+def _trusted(library: Library) -> None:
     """Refuses nothing."""
-
-
-Check = Callable[["Library"], None]
-
-
-class NativeFunction:
-    """A compiled function on arrays of its own.
-
-    Write into `arguments`, call, read `results`.
-
-    Attributes:
-        arguments: One array an argument, shape (size,); (size, lanes) where reals are vectors.
-        results: The same of the results.
-    """
-
-    def __init__(self, function: ctypes._CFuncPtr, signature: Signature, lanes: int) -> None:
-        self.arguments = tuple(aligned(size, lanes) for size in signature.arguments)
-        self.results = tuple(aligned(size, lanes) for size in signature.results)
-        self._work = aligned(signature.work, lanes)
-        arrays = (*self.arguments, *self.results, self._work)
-        self._at = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
-        self._address = ctypes.addressof(self._at)
-        self._function = function
-
-    def __call__(self) -> None:
-        """Computes the results."""
-        self._function(self._address)
-
-
-class Library:
-    """A shared library of compiled functions.
-
-    Args:
-        source: What it was compiled from.
-        content: The library.
-        compiler: What compiled it.
-
-    Attributes:
-        source: As given.
-        compiler: As given.
-        seconds: How long the compiler took, now or when the library was kept [s].
-        c: Its other functions, by name; a call lets other threads run.
-
-    Raises:
-        BuildError: It cannot be loaded.
-    """
-
-    def __init__(self, source: Source, content: bytes, compiler: str) -> None:
-        self.source, self.compiler, self.c = source, compiler, _linked(content)
-        self.seconds = float(content[-_SECONDS:])
-        self._quick = ctypes.PyDLL(self.c._name, handle=self.c._handle)
-
-    def function(self, name: str) -> NativeFunction:
-        """A function of the source, with arrays that nobody else writes to.
-
-        Args:
-            name: As CasADi calls it.
-        """
-        native = self.entry(f"call_{name}")
-        return NativeFunction(native, self.source.signatures[name], self.source.lanes)
-
-    def entry(self, name: str) -> ctypes._CFuncPtr:
-        """What takes one address and returns nothing, while no other thread runs."""
-        native = self._quick[name]
-        native.argtypes, native.restype = (ctypes.c_void_p,), None
-        return native
 
 
 def load(source: Source, say: Say = _silent, check: Check = _trusted) -> Library:
@@ -313,11 +92,185 @@ def load(source: Source, say: Say = _silent, check: Check = _trusted) -> Library
     return library
 
 
+def kept(key: str, build: Build, say: Say, *, again: bool = False) -> bytes:
+    """The library of a key in the cache folder, built there if need be.
+
+    What is loaded are these bytes and not the file, which may change meanwhile.
+
+    Args:
+        key: Of the library: letters and digits.
+        build: Makes it in the folder that it is given.
+        say: Is told what is waited for.
+        again: Build it even if there is one.
+
+    Raises:
+        BuildError: The folder is not to be trusted, or the library cannot be built.
+        OSError: The folder cannot be used.
+    """
+    folder = cache_folder()
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    _check(folder)
+    library = folder / f"{key}.so"
+    found = None if again else _intact(library, key)
+    if found is not None:
+        return found
+    with _lock(folder / f"{key}.lock", say):
+        found = None if again else _intact(library, key)
+        if found is not None:
+            return found
+        for left in folder.glob(f"{key}.*.part"):  # of a process that was killed
+            shutil.rmtree(left, ignore_errors=True)
+        _remove_unused(folder)
+        part = Path(tempfile.mkdtemp(prefix=f"{key}.", suffix=".part", dir=folder))
+        try:
+            return _put(build(part), library, key)
+        finally:
+            shutil.rmtree(part, ignore_errors=True)
+
+
+def cache_folder() -> Path:
+    """Where libraries are kept; it need not exist.
+
+    Raises:
+        OSError: The user has no home.
+    """
+    named = os.environ.get("XDG_CACHE_HOME", "")
+    home = os.path.expanduser("~")
+    if not (named.startswith("/") or home.startswith("/")):
+        raise OSError("no home folder of the user, and no XDG_CACHE_HOME")
+    root = Path(named) if named.startswith("/") else Path(home) / ".cache"
+    return root / "mbd_ros" / "compiled"
+
+
+def _check(folder: Path) -> None:
+    """Whether only the user can write to a folder.
+
+    Raises:
+        BuildError: Somebody else can.
+    """
+    status = folder.stat()
+    if status.st_uid != os.geteuid():
+        raise BuildError(f"{folder} belongs to another user")
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise BuildError(f"{folder} can be written by others: chmod go-w {folder}")
+
+
+def _intact(library: Path, key: str) -> bytes | None:
+    """The library that was put in a place under this key by the user, None without."""
+    try:
+        with library.open("rb") as file:
+            status = os.fstat(file.fileno())
+            content = file.read()
+    except OSError:
+        return None
+    others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    own = stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid() and not others
+    found, digest = content[:-_DIGEST], content[-_DIGEST:]
+    if not own or digest != _digest(key, found):
+        return None
+    with suppress(OSError):
+        os.utime(library)
+    return found
+
+
+def _digest(key: str, content: bytes) -> bytes:
+    return hashlib.sha256(key.encode() + content).hexdigest().encode()
+
+
+@contextmanager
+def _lock(path: Path, say: Say) -> Iterator[None]:
+    """Waits until no other process builds the same; file systems without locks do not wait."""
+    with path.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            say("another process compiles the same: waiting for it")
+            fcntl.flock(file, fcntl.LOCK_EX)
+        except OSError:
+            say("the cache folder has no locks: compiling without")
+        yield
+
+
+def _remove_unused(folder: Path) -> None:
+    """Removes what nobody has loaded for long."""
+    before = time.time() - _UNUSED
+    for path in (*folder.glob("*.so"), *folder.glob("*.lock")):
+        with suppress(OSError):
+            if path.stat().st_mtime < before:
+                path.unlink()
+
+
+def _put(built: Path, library: Path, key: str) -> bytes:
+    """Puts a library in its place, whole or not at all, and gives its content."""
+    content = built.read_bytes()
+    with built.open("ab") as file:
+        file.write(_digest(key, content))
+        file.flush()
+        os.fsync(file.fileno())
+    built.chmod(0o600)
+    built.replace(library)
+    return content
+
+
 def _key(source: Source, compiler: Compiler) -> str:
     """Another one for all that makes another library: the text holds model, parts and numbers."""
     told = (_FORMAT, *compiler.words, compiler.identity, *FLAGS, cpu())
     told = (*told, source.text, *source.units)
     return hashlib.sha256("\0".join(told).encode()).hexdigest()[:40]
+
+
+@contextmanager
+def private() -> Iterator[Path]:
+    """A folder of this process alone, removed afterwards: what is loaded stays loaded.
+
+    Raises:
+        BuildError: There is no place for one, or it cannot be written.
+    """
+    try:
+        with tempfile.TemporaryDirectory(prefix="mbd_ros_", ignore_cleanup_errors=True) as name:
+            yield Path(name)
+    except OSError as error:
+        place = error.filename or "the folder for temporary files"
+        raise BuildError(f"{place}: {error.strerror or error}") from error
+
+
+class Library:
+    """A shared library of compiled functions.
+
+    Args:
+        source: What it was compiled from.
+        content: The library.
+        compiler: What compiled it.
+
+    Attributes:
+        source: As given.
+        compiler: As given.
+        seconds: How long the compiler took, now or when the library was kept [s].
+        c: Its other functions, by name; a call lets other threads run.
+
+    Raises:
+        BuildError: It cannot be loaded.
+    """
+
+    def __init__(self, source: Source, content: bytes, compiler: str) -> None:
+        self.source, self.compiler, self.c = source, compiler, _linked(content)
+        self.seconds = float(content[-_SECONDS:])
+        self._quick = ctypes.PyDLL(self.c._name, handle=self.c._handle)
+
+    def function(self, name: str) -> NativeFunction:
+        """A function of the source, with arrays that nobody else writes to.
+
+        Args:
+            name: As CasADi calls it.
+        """
+        native = self.entry(f"call_{name}")
+        return NativeFunction(native, self.source.signatures[name], self.source.lanes)
+
+    def entry(self, name: str) -> ctypes._CFuncPtr:
+        """What takes one address and returns nothing, while no other thread runs."""
+        native = self._quick[name]
+        native.argtypes, native.restype = (ctypes.c_void_p,), None
+        return native
 
 
 def _linked(content: bytes) -> ctypes.CDLL:
@@ -355,3 +308,35 @@ def _in_a_file(content: bytes) -> Iterator[str]:
         path = folder / "scene.so"
         path.write_bytes(content)
         yield str(path)
+
+
+class NativeFunction:
+    """A compiled function on arrays of its own.
+
+    Write into `arguments`, call, read `results`.
+
+    Attributes:
+        arguments: One array an argument, shape (size,); (size, lanes) where reals are vectors.
+        results: The same of the results.
+    """
+
+    def __init__(self, function: ctypes._CFuncPtr, signature: Signature, lanes: int) -> None:
+        self.arguments = tuple(aligned(size, lanes) for size in signature.arguments)
+        self.results = tuple(aligned(size, lanes) for size in signature.results)
+        self._work = aligned(signature.work, lanes)
+        arrays = (*self.arguments, *self.results, self._work)
+        self._at = (ctypes.c_void_p * len(arrays))(*(array.ctypes.data for array in arrays))
+        self._address = ctypes.addressof(self._at)
+        self._function = function
+
+    def __call__(self) -> None:
+        """Computes the results."""
+        self._function(self._address)
+
+
+def aligned(size: int, lanes: int = 1) -> Array:
+    """Zeros, shape (size,), or (size, lanes) where each is a vector of several numbers."""
+    room = np.zeros(size * lanes + _ALIGNED // 8)
+    first = -room.ctypes.data % _ALIGNED // 8
+    values = room[first : first + size * lanes]
+    return values if lanes == 1 else values.reshape(size, lanes)

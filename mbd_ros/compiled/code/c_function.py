@@ -1,299 +1,25 @@
-"""A function of CasADi symbols as one function in C."""
+"""A function as C: short functions that run one after the other.
+
+Compilers take out of proportion long for long functions, so that lists of values are cut into
+short ones. Sines and cosines of angles that are known early are computed first, many at once.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Iterator
 from typing import NamedTuple
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols.untraceable import Untraceable
-
-# ---- instructions -----------------------------------------------------------------------------
-# A function of CasADi symbols as a list of values, each computed once.
-
-
-COMMUTE = {ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_AND, ca.OP_OR, ca.OP_EQ, ca.OP_NE}
-
-
-class CodeError(Untraceable):
-    """Symbols that cannot become code: names the function and the operation."""
-
-
-class Value(NamedTuple):
-    """One number that a function computes or reads.
-
-    Attributes:
-        code: Operation, as CasADi numbers them; a constant, an input or what computes it.
-        operands: Numbers of the values that it is computed from; of an input: which argument, and
-            the place in it.
-        constant: Of a constant.
-    """
-
-    code: int
-    operands: tuple[int, ...] = ()
-    constant: str = ""
-
-    @property
-    def computed(self) -> bool:
-        """Whether it is neither a constant nor an input."""
-        return self.code not in (ca.OP_CONST, ca.OP_INPUT)
-
-
-class Output(NamedTuple):
-    """Where a value is written: which result, and the place in its columns."""
-
-    result: int
-    place: int
-    value: int
-
-
-class Instructions(NamedTuple):
-    """What a function computes.
-
-    Attributes:
-        name: Of the function.
-        arguments: Sizes of its arguments, as dense columns.
-        results: Sizes of its results.
-        values: In an order in which they can be computed; none is there twice.
-        outputs: What is written; other places of a result are zero.
-    """
-
-    name: str
-    arguments: tuple[int, ...]
-    results: tuple[int, ...]
-    values: list[Value]
-    outputs: list[Output]
-
-    @property
-    def operations(self) -> int:
-        """How many values are computed."""
-        return sum(value.computed for value in self.values)
-
-
-def instructions(function: ca.Function) -> Instructions:
-    """The list of values of a function.
-
-    Args:
-        function: Of scalar symbols (SX), without free ones.
-
-    Raises:
-        CodeError: It is of matrix symbols, or has free ones.
-    """
-    name = function.name()
-    if not function.is_a("SXFunction"):
-        raise CodeError(f"{name} is no function of scalar symbols (SX): expand it first")
-    if function.has_free():
-        raise CodeError(f"{name} has symbols that are no argument: {function.get_free()}")
-    values, outputs = _numbered(function)
-    sizes = (function.numel_in, function.n_in()), (function.numel_out, function.n_out())
-    arguments, results = (tuple(size(k) for k in range(n)) for size, n in sizes)
-    return Instructions(name, arguments, results, values, outputs)
-
-
-def _numbered(function: ca.Function) -> tuple[list[Value], list[Output]]:
-    """Every different value once, and what is written of them."""
-    values: list[Value] = []
-    known: dict[Value, int] = {}
-    held: dict[int, int] = {}  # place in CasADi's work vector -> value
-    outputs: list[Output] = []
-    read = [function.sparsity_in(k).find() for k in range(function.n_in())]
-    written = [function.sparsity_out(k).find() for k in range(function.n_out())]
-    for k in range(function.n_instructions()):
-        code, into = function.instruction_id(k), function.instruction_output(k)
-        places = function.instruction_input(k)
-        if code == ca.OP_OUTPUT:
-            result, nonzero = into
-            outputs.append(Output(result, written[result][nonzero], held[places[0]]))
-            continue
-        if code == ca.OP_CONST:
-            value = Value(code, constant=float(function.instruction_constant(k)).hex())
-        elif code == ca.OP_INPUT:
-            value = Value(code, (places[0], read[places[0]][places[1]]))
-        else:
-            operands = tuple(held[place] for place in places)
-            value = Value(code, tuple(sorted(operands)) if code in COMMUTE else operands)
-        if value not in known:
-            known[value] = len(values)
-            values.append(value)
-        held[into[0]] = known[value]
-    return values, outputs
-
-
-# ---- c function -------------------------------------------------------------------------------
-# One function as C: short functions that run one after the other.
-
-
-# Sines and cosines of angles that are known early: computed first, many at once.
+from mbd_ros.compiled.code.instructions import CodeError, Instructions, Value
 
 ROOM = 2  # values are passed in a multiple of these: SINES_ROOM of sines.h
 _PLAIN = {
     *(ca.OP_CONST, ca.OP_INPUT, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG),
     *(ca.OP_SQ, ca.OP_TWICE, ca.OP_INV),
 }
-
-
-class Turns(NamedTuple):
-    """The angles of a function, and what waits for their sines and cosines.
-
-    Attributes:
-        before: Computed values that the angles are made of, in order.
-        angles: Numbers of the values of which sines and cosines are taken.
-        sines: Angle -> number of its sine, where there is one.
-        cosines: The same of the cosines.
-        after: All other computed values, in order.
-    """
-
-    before: list[int]
-    angles: list[int]
-    sines: dict[int, int]
-    cosines: dict[int, int]
-    after: list[int]
-
-    @property
-    def room(self) -> int:
-        """Size of an array of the sines."""
-        return -(-len(self.angles) // ROOM) * ROOM
-
-    def slots(self, first: int) -> dict[int, int]:
-        """Places of the sines, then the cosines, in two arrays that begin at a place.
-
-        Args:
-            first: Where the array of the sines begins.
-        """
-        places = {angle: first + k for k, angle in enumerate(self.angles)}
-        slots = {number: places[angle] for angle, number in self.sines.items()}
-        return slots | {n: self.room + places[angle] for angle, n in self.cosines.items()}
-
-
-def turns(code: Instructions) -> Turns:
-    """The angles that are made of inputs by arithmetic alone.
-
-    Args:
-        code: Instructions of a function.
-    """
-    plain = _plain(code.values)
-    sines, cosines = (
-        {
-            v.operands[0]: k
-            for k, v in enumerate(code.values)
-            if v.code == c and plain[v.operands[0]]
-        }
-        for c in (ca.OP_SIN, ca.OP_COS)
-    )
-    angles = sorted({*sines, *cosines})
-    early = _made_of(code.values, angles)
-    taken = {*early, *sines.values(), *cosines.values()}
-    after = [k for k, v in enumerate(code.values) if v.computed and k not in taken]
-    return Turns(early, angles, sines, cosines, after)
-
-
-def _plain(values: list[Value]) -> list[bool]:
-    """Which values are made of inputs and constants by arithmetic."""
-    plain: list[bool] = []
-    for value in values:
-        operands = value.operands if value.computed else ()
-        plain.append(value.code in _PLAIN and all(plain[operand] for operand in operands))
-    return plain
-
-
-def _made_of(values: list[Value], ends: list[int]) -> list[int]:
-    """Computed values that others are made of, themselves among them, in order."""
-    found: set[int] = set()
-    waiting = list(ends)
-    while waiting:
-        number = waiting.pop()
-        if number not in found and values[number].computed:
-            found.add(number)
-            waiting += values[number].operands
-    return sorted(found)
-
-
-# Lists of values cut into short ones: compilers take out of proportion long for long ones.
-
 WHOLE = 3000  # operations that are not cut: their compilation takes half a second at most
 FEWEST, MOST = 500, 1500  # operations of a chunk
-
-
-class Chunks(NamedTuple):
-    """Values in the order in which they are computed, and those that wait between the chunks.
-
-    Attributes:
-        chunks: Numbers of the computed values, by chunk.
-        slots: Value -> its place among those that later chunks read.
-        work: How many places there are.
-    """
-
-    chunks: list[list[int]]
-    slots: dict[int, int]
-    work: int
-
-
-def cut(code: Instructions, turns: Turns) -> Chunks:
-    """Chunks between which few values wait.
-
-    The first chunk, perhaps empty, makes the angles; sines and cosines wait from there on.
-
-    Args:
-        code: The instructions.
-        turns: Its angles, and the order in which everything else is computed.
-    """
-    order = turns.before + turns.after
-    at = {value: k for k, value in enumerate(order)}
-    last = _last_reads(code.values, order, at)
-    early = len(turns.before)
-    chunks = [turns.before]
-    chunks += [order[early + a : early + b] for a, b in _bounds([k - early for k in last[early:]])]
-    number = [n for n, chunk in enumerate(chunks) for _ in chunk]
-    slots, work = _slots(order, last, number)
-    return Chunks(chunks, slots | turns.slots(work), work + 2 * turns.room)
-
-
-def _last_reads(values: list[Value], order: list[int], at: dict[int, int]) -> list[int]:
-    """Where in the order each value is read for the last time; itself if never."""
-    last = list(range(len(order)))
-    for k, value in enumerate(order):
-        for operand in values[value].operands:
-            if operand in at:
-                last[at[operand]] = k
-    return last
-
-
-def _bounds(last: list[int]) -> list[tuple[int, int]]:
-    """First and end of each chunk, where fewest values wait."""
-    ends = [0] * (len(last) + 1)
-    for k in last:
-        ends[k] += 1
-    waiting, now = [], 0  # before each place in the order: values that are read at it or later
-    for k in range(len(last)):
-        waiting.append(now)
-        now += 1 - ends[k]
-    begins = [0]
-    while len(last) - begins[-1] > (MOST if len(last) > WHOLE else WHOLE):
-        window = range(begins[-1] + FEWEST, begins[-1] + MOST + 1)
-        begins.append(min(window, key=lambda k: waiting[k]))
-    return list(zip(begins, [*begins[1:], len(last)], strict=True))
-
-
-def _slots(order: list[int], last: list[int], number: list[int]) -> tuple[dict[int, int], int]:
-    """A place for every value that a later chunk reads, used again when it was read last."""
-    slots: dict[int, int] = {}
-    free: list[int] = []
-    leaves: dict[int, list[int]] = {}  # chunk -> places that are free after it
-    work, chunk = 0, number[0] if number else 0
-    for k, value in enumerate(order):
-        if number[k] != chunk:
-            free += leaves.pop(chunk, [])
-            chunk = number[k]
-        if number[last[k]] > chunk:
-            if not free:
-                free.append(work)
-                work += 1
-            slots[value] = free.pop()
-            leaves.setdefault(number[last[k]], []).append(slots[value])
-    return slots, work
-
-
-# What each operation of CasADi is in C, for numbers and for vectors of them.
-
 _FORMS = {
     ca.OP_ADD: "{0} + {1}",
     ca.OP_SUB: "{0} - {1}",
@@ -347,45 +73,7 @@ _CALLS = {  # of functions that the headers define
     ca.OP_TAN: "tan",
     ca.OP_TANH: "tanh",
 }
-
-
-def expression(value: Value, operands: list[str], function: str) -> str:
-    """The C expression of a computed value.
-
-    Args:
-        value: The value.
-        operands: What stands for those that it is computed from.
-        function: Whose value it is, for the error.
-
-    Raises:
-        CodeError: C has no such operation.
-    """
-    form = _FORMS.get(value.code)
-    if form is not None:
-        return form.format(*operands)
-    call = _CALLS.get(value.code)
-    if call is None:
-        raise CodeError(f"{function} has an operation without a form in C: CasADi's {value.code}")
-    return f"real_{call}({', '.join(operands)})"
-
-
 _NAMED = {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}
-
-
-class CFunction(NamedTuple):
-    """The pieces of a function in C.
-
-    Attributes:
-        chunks: Short functions, without what comes before `void`.
-        declarations: The same without bodies.
-        calls: The function that calls them, and the one from outside.
-        work: How many reals wait between them at most.
-    """
-
-    chunks: list[str]
-    declarations: list[str]
-    calls: str
-    work: int
 
 
 def c_function(code: Instructions) -> CFunction:
@@ -420,6 +108,161 @@ def c_function(code: Instructions) -> CFunction:
     return CFunction(chunks, [f"{head};\n" for head in heads], whole, cuts.work)
 
 
+def turns(code: Instructions) -> Turns:
+    """The angles that are made of inputs by arithmetic alone.
+
+    Args:
+        code: Instructions of a function.
+    """
+    plain = _plain(code.values)
+    sines, cosines = (
+        {
+            v.operands[0]: k
+            for k, v in enumerate(code.values)
+            if v.code == c and plain[v.operands[0]]
+        }
+        for c in (ca.OP_SIN, ca.OP_COS)
+    )
+    angles = sorted({*sines, *cosines})
+    early = _made_of(code.values, angles)
+    taken = {*early, *sines.values(), *cosines.values()}
+    after = [k for k, v in enumerate(code.values) if v.computed and k not in taken]
+    return Turns(early, angles, sines, cosines, after)
+
+
+class Turns(NamedTuple):
+    """The angles of a function, and what waits for their sines and cosines.
+
+    Attributes:
+        before: Computed values that the angles are made of, in order.
+        angles: Numbers of the values of which sines and cosines are taken.
+        sines: Angle -> number of its sine, where there is one.
+        cosines: The same of the cosines.
+        after: All other computed values, in order.
+    """
+
+    before: list[int]
+    angles: list[int]
+    sines: dict[int, int]
+    cosines: dict[int, int]
+    after: list[int]
+
+    @property
+    def room(self) -> int:
+        """Size of an array of the sines."""
+        return -(-len(self.angles) // ROOM) * ROOM
+
+    def slots(self, first: int) -> dict[int, int]:
+        """Places of the sines, then the cosines, in two arrays that begin at a place.
+
+        Args:
+            first: Where the array of the sines begins.
+        """
+        places = {angle: first + k for k, angle in enumerate(self.angles)}
+        slots = {number: places[angle] for angle, number in self.sines.items()}
+        return slots | {n: self.room + places[angle] for angle, n in self.cosines.items()}
+
+
+def _plain(values: list[Value]) -> list[bool]:
+    """Which values are made of inputs and constants by arithmetic."""
+    plain: list[bool] = []
+    for value in values:
+        operands = value.operands if value.computed else ()
+        plain.append(value.code in _PLAIN and all(plain[operand] for operand in operands))
+    return plain
+
+
+def _made_of(values: list[Value], ends: list[int]) -> list[int]:
+    """Computed values that others are made of, themselves among them, in order."""
+    found: set[int] = set()
+    waiting = list(ends)
+    while waiting:
+        number = waiting.pop()
+        if number not in found and values[number].computed:
+            found.add(number)
+            waiting += values[number].operands
+    return sorted(found)
+
+
+def cut(code: Instructions, turns: Turns) -> Chunks:
+    """Chunks between which few values wait.
+
+    The first chunk, perhaps empty, makes the angles; sines and cosines wait from there on.
+
+    Args:
+        code: The instructions.
+        turns: Its angles, and the order in which everything else is computed.
+    """
+    order = turns.before + turns.after
+    at = {value: k for k, value in enumerate(order)}
+    last = _last_reads(code.values, order, at)
+    early = len(turns.before)
+    chunks = [turns.before]
+    chunks += [order[early + a : early + b] for a, b in _bounds([k - early for k in last[early:]])]
+    number = [n for n, chunk in enumerate(chunks) for _ in chunk]
+    slots, work = _slots(order, last, number)
+    return Chunks(chunks, slots | turns.slots(work), work + 2 * turns.room)
+
+
+class Chunks(NamedTuple):
+    """Values in the order in which they are computed, and those that wait between the chunks.
+
+    Attributes:
+        chunks: Numbers of the computed values, by chunk.
+        slots: Value -> its place among those that later chunks read.
+        work: How many places there are.
+    """
+
+    chunks: list[list[int]]
+    slots: dict[int, int]
+    work: int
+
+
+def _last_reads(values: list[Value], order: list[int], at: dict[int, int]) -> list[int]:
+    """Where in the order each value is read for the last time; itself if never."""
+    last = list(range(len(order)))
+    for k, value in enumerate(order):
+        for operand in values[value].operands:
+            if operand in at:
+                last[at[operand]] = k
+    return last
+
+
+def _bounds(last: list[int]) -> list[tuple[int, int]]:
+    """First and end of each chunk, where fewest values wait."""
+    ends = [0] * (len(last) + 1)
+    for k in last:
+        ends[k] += 1
+    waiting, now = [], 0  # before each place in the order: values that are read at it or later
+    for k in range(len(last)):
+        waiting.append(now)
+        now += 1 - ends[k]
+    begins = [0]
+    while len(last) - begins[-1] > (MOST if len(last) > WHOLE else WHOLE):
+        window = range(begins[-1] + FEWEST, begins[-1] + MOST + 1)
+        begins.append(min(window, key=lambda k: waiting[k]))
+    return list(zip(begins, [*begins[1:], len(last)], strict=True))
+
+
+def _slots(order: list[int], last: list[int], number: list[int]) -> tuple[dict[int, int], int]:
+    """A place for every value that a later chunk reads, used again when it was read last."""
+    slots: dict[int, int] = {}
+    free: list[int] = []
+    leaves: dict[int, list[int]] = {}  # chunk -> places that are free after it
+    work, chunk = 0, number[0] if number else 0
+    for k, value in enumerate(order):
+        if number[k] != chunk:
+            free += leaves.pop(chunk, [])
+            chunk = number[k]
+        if number[last[k]] > chunk:
+            if not free:
+                free.append(work)
+                work += 1
+            slots[value] = free.pop()
+            leaves.setdefault(number[last[k]], []).append(slots[value])
+    return slots, work
+
+
 def _statements(code: Instructions, cuts: Chunks, chunk: list[int]) -> Iterator[str]:
     """Statements of a chunk: what waits is read before its first use, and written at once."""
     written: dict[int, list[str]] = {}
@@ -438,6 +281,36 @@ def _statements(code: Instructions, cuts: Chunks, chunk: list[int]) -> Iterator[
         yield from (f"  {place} = t{number};\n" for place in written.get(number, ()))
         if number in cuts.slots:
             yield f"  work[{cuts.slots[number]}] = t{number};\n"
+
+
+def _name(values: list[Value], number: int) -> str:
+    """What stands for a value in C."""
+    value = values[number]
+    if value.constant:
+        return f"R({_NAMED.get(value.constant, value.constant)})"
+    if not value.computed:
+        return "i{}[{}]".format(*value.operands)
+    return f"t{number}"
+
+
+def expression(value: Value, operands: list[str], function: str) -> str:
+    """The C expression of a computed value.
+
+    Args:
+        value: The value.
+        operands: What stands for those that it is computed from.
+        function: Whose value it is, for the error.
+
+    Raises:
+        CodeError: C has no such operation.
+    """
+    form = _FORMS.get(value.code)
+    if form is not None:
+        return form.format(*operands)
+    call = _CALLS.get(value.code)
+    if call is None:
+        raise CodeError(f"{function} has an operation without a form in C: CasADi's {value.code}")
+    return f"real_{call}({', '.join(operands)})"
 
 
 def _sines(values: list[Value], early: Turns, first: int) -> Iterator[str]:
@@ -464,11 +337,17 @@ def _plain_outputs(code: Instructions, cuts: Chunks) -> Iterator[str]:
         yield from (f"  o{result}[{first}] = R(0.0);\n" for first in zeros)
 
 
-def _name(values: list[Value], number: int) -> str:
-    """What stands for a value in C."""
-    value = values[number]
-    if value.constant:
-        return f"R({_NAMED.get(value.constant, value.constant)})"
-    if not value.computed:
-        return "i{}[{}]".format(*value.operands)
-    return f"t{number}"
+class CFunction(NamedTuple):
+    """The pieces of a function in C.
+
+    Attributes:
+        chunks: Short functions, without what comes before `void`.
+        declarations: The same without bodies.
+        calls: The function that calls them, and the one from outside.
+        work: How many reals wait between them at most.
+    """
+
+    chunks: list[str]
+    declarations: list[str]
+    calls: str
+    work: int

@@ -1,6 +1,7 @@
-"""Functions of CasADi symbols as C source."""
+"""Functions of CasADi symbols as C source, with the search of paths that wrap before them."""
 
-from collections import Counter
+from __future__ import annotations
+
 from collections.abc import Sequence
 from itertools import accumulate, pairwise
 from pathlib import Path
@@ -8,67 +9,20 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from mbd_ros.compiled.code.c_function import (
-    CodeError,
-    Instructions,
-    Value,
-    c_function,
-    instructions,
-)
+from mbd_ros.compiled.code.c_function import c_function
+from mbd_ros.compiled.code.instructions import CodeError, instructions, with_reciprocals
 from mbd_ros.compiled.code.source import Signature, Source
 from mbd_ros.compiled.symbols.path_tables import NATIVE, c_row, row_of, search_text
 from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
 from mbd_ros.compiled.symbols.trace import ARGUMENTS, Traced
-
-# ---- emit -------------------------------------------------------------------------------------
-# Functions of CasADi symbols as C source.
-
-
-# Divisions by the same number as products with its reciprocal: a division costs ten products.
-
-
-def with_reciprocals(code: Instructions) -> Instructions:
-    """The same values, with one division for each divisor that several values share.
-
-    A quotient then differs by a unit in the last place.
-
-    Args:
-        code: Instructions of a function.
-    """
-    divisors = Counter(_divisor(value) for value in code.values)
-    shared = {number for number, n in divisors.items() if n > 1 and number is not None}
-    values: list[Value] = []
-    known: dict[Value, int] = {}
-    now: list[int] = []  # old number -> new number
-
-    def number(value: Value) -> int:
-        if value not in known:
-            known[value] = len(values)
-            values.append(value)
-        return known[value]
-
-    for value in code.values:
-        operands = tuple(now[k] for k in value.operands) if value.computed else value.operands
-        new = value._replace(operands=operands)
-        if value.code == ca.OP_DIV and value.operands[1] in shared:
-            reciprocal = number(Value(ca.OP_INV, (operands[1],)))
-            new = Value(ca.OP_MUL, tuple(sorted((operands[0], reciprocal))))
-        now.append(number(new))
-    outputs = [output._replace(value=now[output.value]) for output in code.outputs]
-    return code._replace(values=values, outputs=outputs)
-
-
-def _divisor(value: Value) -> int | None:
-    if value.code == ca.OP_DIV:
-        return value.operands[1]
-    return value.operands[0] if value.code == ca.OP_INV else None
-
 
 HERE = Path(__file__).parent
 EXPORT = '#define EXPORT __attribute__((visibility("default")))\n'
 ALONE = 4000  # operations beyond which a function has units of its own, and those of a unit
 AS_IN_PYTHON = ("expand",)  # each operation is rounded: states of all joints have the same bits
 MOST = 100_000  # operations that are compiled: more take minutes and do not fit into caches
+SEARCH = "search_paths"  # from t, q and p to what is searched
+_WORK = "work"
 
 
 def emit(functions: Sequence[ca.Function], real: Literal["double"] | int = "double") -> Source:
@@ -134,14 +88,6 @@ def _parted(chunks: list[str], count: int) -> list[list[str]]:
     """Chunks in a number of parts of about the same length."""
     ends = [round(len(chunks) * k / count) for k in range(count + 1)]
     return [chunks[a:b] for a, b in pairwise(ends) if a < b]
-
-
-# ---- searches ---------------------------------------------------------------------------------
-# Functions whose paths are searched before them, as C source.
-
-
-SEARCH = "search_paths"  # from t, q and p to what is searched
-_WORK = "work"
 
 
 def emitted(traced: Traced, names: Sequence[str]) -> Source:

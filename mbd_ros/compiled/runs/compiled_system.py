@@ -1,5 +1,7 @@
 """A system whose accelerations and derivatives come from native code."""
 
+from __future__ import annotations
+
 from typing import Any
 
 import numpy as np
@@ -8,69 +10,6 @@ from mbd_ros.compiled.build.library import Library, NativeFunction
 from mbd_ros.compiled.symbols.trace import Traced
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
 from mbd_ros.core.state import NONE, Array, Mode, State
-
-# ---- compiled balance -------------------------------------------------------------------------
-# The force that lacks for the equation of motion, from native code.
-
-
-class CompiledBalance:
-    """As `mbd_ros.core.dynamics.linearization.Balance`, with slopes to rounding.
-
-    Args:
-        system: The system.
-        force: The native function `balance`.
-        slopes: The native function `balance_slopes`.
-        size: nv, or nv + nz where internal states stand beside velocities.
-    """
-
-    def __init__(
-        self, system: "CompiledSystem", force: NativeFunction, slopes: NativeFunction, size: int
-    ) -> None:
-        self._system, self._force, self._slopes = system, force, slopes
-        self._nq, self._nv, self._size = system.system.nq, system.system.nv, size
-
-    def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:
-        """The f, shape (nv,)."""
-        self._call(self._force, t, q, v, u, a, lam)
-        force, rates = self._force.results
-        if self._size == self._nv:
-            return force.copy()
-        return np.concatenate((force, rates - a[self._nv :]))
-
-    def slopes(
-        self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array
-    ) -> tuple[Array, Array]:
-        """Of f by steps in the tangent of q and by v, each of shape (nv, nv)."""
-        self._call(self._slopes, t, q, v, u, a, lam)
-        n, size = self._nv, self._size
-        by_q, by_v = np.zeros((2, size, size))
-        places = by_q[:, :n], by_v[:, :n], by_v[:, n:]
-        for values, place in zip(self._slopes.results, places, strict=True):
-            width = place.shape[1]
-            place[...] = values[: size * width].reshape(width, size).T
-        return by_q, by_v
-
-    def _call(
-        self,
-        native: NativeFunction,
-        t: float,
-        q: Array,
-        v: Array,
-        u: Array | None,
-        a: Array,
-        lam: Array,
-    ) -> None:
-        n = self._nv
-        values = t, q[: self._nq], v[:n], v[n:], self._system.inputs(t, u)
-        for argument, value in zip(native.arguments[:5], values, strict=True):
-            argument[...] = value
-        native.arguments[6][...], native.arguments[7][...] = a[:n], lam
-        native()
-        self._system.calls += 1
-
-
-# ---- compiled system --------------------------------------------------------------------------
-# A system whose accelerations and derivatives come from native code.
 
 
 class CompiledSystem:
@@ -189,3 +128,59 @@ class CompiledSystem:
 def _table(values: Array, rows: int, columns: int) -> Array:
     """A new matrix from the columns that a native function has written one after the other."""
     return np.array(values[: rows * columns].reshape(columns, rows).T)
+
+
+class CompiledBalance:
+    """As `mbd_ros.core.dynamics.linearization.Balance`, with slopes to rounding.
+
+    Args:
+        system: The system.
+        force: The native function `balance`.
+        slopes: The native function `balance_slopes`.
+        size: nv, or nv + nz where internal states stand beside velocities.
+    """
+
+    def __init__(
+        self, system: CompiledSystem, force: NativeFunction, slopes: NativeFunction, size: int
+    ) -> None:
+        self._system, self._force, self._slopes = system, force, slopes
+        self._nq, self._nv, self._size = system.system.nq, system.system.nv, size
+
+    def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:
+        """The f, shape (nv,)."""
+        self._call(self._force, t, q, v, u, a, lam)
+        force, rates = self._force.results
+        if self._size == self._nv:
+            return force.copy()
+        return np.concatenate((force, rates - a[self._nv :]))
+
+    def slopes(
+        self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array
+    ) -> tuple[Array, Array]:
+        """Of f by steps in the tangent of q and by v, each of shape (nv, nv)."""
+        self._call(self._slopes, t, q, v, u, a, lam)
+        n, size = self._nv, self._size
+        by_q, by_v = np.zeros((2, size, size))
+        places = by_q[:, :n], by_v[:, :n], by_v[:, n:]
+        for values, place in zip(self._slopes.results, places, strict=True):
+            width = place.shape[1]
+            place[...] = values[: size * width].reshape(width, size).T
+        return by_q, by_v
+
+    def _call(
+        self,
+        native: NativeFunction,
+        t: float,
+        q: Array,
+        v: Array,
+        u: Array | None,
+        a: Array,
+        lam: Array,
+    ) -> None:
+        n = self._nv
+        values = t, q[: self._nq], v[:n], v[n:], self._system.inputs(t, u)
+        for argument, value in zip(native.arguments[:5], values, strict=True):
+            argument[...] = value
+        native.arguments[6][...], native.arguments[7][...] = a[:n], lam
+        native()
+        self._system.calls += 1

@@ -1,347 +1,32 @@
-"""Runs in native code: their source, their data, their calls."""
+"""A run in native code, as Python calls it."""
+
+from __future__ import annotations
 
 import ctypes
 import math
 from collections.abc import Callable, Collection, Sequence
-from enum import IntEnum
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.compiled.build.library import Library, aligned
-from mbd_ros.compiled.code.source import Source
-from mbd_ros.core.contracts import type_name
+from mbd_ros.compiled.runs.run_layout import (
+    Field,
+    InputsOfC,
+    Status,
+    TimesOfC,
+    method_options,
+    pieces_of,
+)
+from mbd_ros.compiled.runs.run_source import Sizes
 from mbd_ros.core.dynamics.world_axes import InWorldAxes
 from mbd_ros.core.loads.inputs import Pieces
 from mbd_ros.core.state import NONE, Array, State
-from mbd_ros.errors import ModelError
-from mbd_ros.methods.integration.adams import adams_weights, starter
-from mbd_ros.methods.integration.polynomial import powers
-from mbd_ros.methods.integration.runge_kutta import Tableau
 from mbd_ros.methods.integration.stepping import HeldTable, Integrator
 from mbd_ros.methods.simulation.sample_blocks import SampleTimes
 
-# ---- native types -----------------------------------------------------------------------------
-# What native runs read, in the layout of `native/run.h`.
-
-
-_LONG, _DOUBLE = ctypes.c_long, ctypes.c_double
-_LONGS, _DOUBLES = ctypes.c_void_p, ctypes.c_void_p
-
-
-class Status(IntEnum):
-    """Why a native run came back."""
-
-    DONE = 0
-    PAUSED = 1
-    NOT_FINITE = 2
-    ILL_CONDITIONED = 3
-    GUARD = 4
-    TOO_SHORT = 5
-    OPEN = 6
-    NO_INPUTS = 7
-    RENAMED = 8
-
-
-class Method(IntEnum):
-    """Methods that native runs know."""
-
-    RUNGE_KUTTA = 0
-    ADAMS = 1
-    SEMI_IMPLICIT_EULER = 2
-    RATTLE = 3
-
-
-class Field(IntEnum):
-    """Numbers of a run that Python reads or writes."""
-
-    SIZE = 0
-    MEMORY = 1
-    T = 2
-    Q = 3
-    W = 4
-    T0 = 5
-    Q0 = 6
-    W0 = 7
-    SAMPLE = 8
-    IS_WITHIN = 9
-    STEPS = 10
-    LENGTH = 11
-    INTERVAL = 12
-    HEALTH = 13
-    EVALUATIONS = 14
-    LEFT = 15
-    U = 16
-    ROW = 17
-
-
-class WeightsOfC(ctypes.Structure):
-    """Rows of weights without their zeros."""
-
-    _fields_ = [("begin", _LONGS), ("column", _LONGS), ("value", _DOUBLES)]
-
-
-class TableauOfC(ctypes.Structure):
-    """An explicit Runge-Kutta method."""
-
-    _fields_ = [
-        *((name, _LONG) for name in ("stages", "errors", "weighed", "terms", "all")),
-        ("power", _DOUBLE),
-        ("c", _DOUBLES),
-        *((name, WeightsOfC) for name in ("a", "error", "dense")),
-    ]
-
-
-class AdamsOfC(ctypes.Structure):
-    """Weights of an Adams method."""
-
-    _fields_ = [
-        *((name, _LONG) for name in ("order", "needed")),
-        *((n, WeightsOfC) for n in ("position", "velocity", "positions", "velocities")),
-    ]
-
-
-class PiecesOfC(ctypes.Structure):
-    """Inputs that change within steps."""
-
-    _fields_ = [
-        *((name, _LONG) for name in ("at", "width", "count", "powers")),
-        *((name, _DOUBLES) for name in ("times", "coefficients", "jumps")),
-    ]
-
-
-class OptionsOfC(ctypes.Structure):
-    """What stays the same in a run."""
-
-    _fields_ = [
-        *((n, _LONG) for n in ("method", "is_adaptive", "smooth")),
-        ("pieces", ctypes.c_void_p),
-        *((n, _DOUBLE) for n in ("dt", "tolerance", "closed", "least_health")),
-        *((n, _DOUBLES) for n in ("lower", "upper", "sizes", "p")),
-        ("tableau", TableauOfC),
-        ("adams", AdamsOfC),
-    ]
-
-
-class TimesOfC(ctypes.Structure):
-    """When samples are due."""
-
-    _fields_ = [
-        *((n, _DOUBLE) for n in ("origin", "dt", "last", "resolution", "slack")),
-        *((n, _LONG) for n in ("end", "ends_at_samples")),
-    ]
-
-
-class InputsOfC(ctypes.Structure):
-    """Held inputs, a row an interval."""
-
-    _fields_ = [("count", _LONG), ("until", _DOUBLES), ("values", _DOUBLES)]
-
-
-class Held(NamedTuple):
-    """A structure for C and the arrays that it points to, which must live as long.
-
-    Attributes:
-        value: The structure.
-        arrays: The arrays.
-    """
-
-    value: Any
-    arrays: tuple[NDArray[Any], ...]
-
-
-def weights(rows: Sequence[Array] | Array) -> Held:
-    """Rows of weights, shape (m, n), for C."""
-    table = np.atleast_2d(np.asarray(rows, dtype=np.float64))
-    places = [np.flatnonzero(row) for row in table]
-    begin = np.cumsum([0, *map(len, places)]).astype(np.int64)
-    column = np.concatenate([np.zeros(0, dtype=np.int64), *places]).astype(np.int64)
-    chosen = [row[at] for row, at in zip(table, places, strict=True)]
-    value = np.concatenate([np.zeros(0), *chosen])
-    arrays = begin, column, value
-    return Held(WeightsOfC(*(each.ctypes.data for each in arrays)), arrays)
-
-
-def tableau_of(method: Tableau) -> Held:
-    """A Runge-Kutta method for C."""
-    c = method.a.sum(axis=1)
-    tables = [weights(rows) for rows in (method.a, method.errors, method.terms)]
-    value = TableauOfC(
-        *(method.stages, len(method.errors), method.errors.shape[1]),
-        *(len(method.terms), len(method.a), 1.0 / (method.error_order + 1), c.ctypes.data),
-        *(table.value for table in tables),
-    )
-    return Held(value, (c, *(one for table in tables for one in table.arrays)))
-
-
-def pieces_of(given: Sequence[tuple[slice, Pieces]]) -> Held:
-    """What smooth sources are made of, with their places in u, for C."""
-    arrays: list[NDArray[Any]] = []
-    found = (PiecesOfC * len(given))()
-    for one, (at, pieces) in zip(found, given, strict=True):
-        times, rows = (np.ascontiguousarray(each, np.float64) for each in pieces[:2])
-        jumps = np.ascontiguousarray(pieces.jumps, np.int64)
-        count, powers, width = rows.shape
-        one.at, one.width, one.count, one.powers = at.start, width, count, powers
-        one.times, one.coefficients, one.jumps = (a.ctypes.data for a in (times, rows, jumps))
-        arrays += [times, rows, jumps]
-    return Held(found, tuple(arrays))
-
-
-def adams_of(order: int, dt: float) -> Held:
-    """An Adams method for C, with steps of dt [s]."""
-    once, twice = powers(-np.arange(order, dtype=np.float64))
-    position, velocity = adams_weights(order, dt)
-    tables = [weights(rows) for rows in (position, velocity, twice.T, once.T)]
-    value = AdamsOfC(order, order - 1, *(table.value for table in tables))
-    return Held(value, tuple(one for table in tables for one in table.arrays))
-
-
-# ---- native source ----------------------------------------------------------------------------
-# The C source of a whole run: functions of a scene, then the integrators over them.
-
-
-NATIVE = Path(__file__).parents[1] / "native"
-_FILES = (
-    "run.h",
-    "weights.h",
-    "runge_kutta.h",
-    "adams.h",
-    "projection.h",
-    "rattle.h",
-    "steps.h",
-    "events.h",
-)
-_LAST = {False: ("run.c", "search.c"), True: ("lanes.c",)}  # by whether reals are several numbers
-
-
-class Sizes(NamedTuple):
-    """What the integrators are compiled for, as `native/run.h` names it.
-
-    Attributes:
-        nq: Size of a configuration of what is integrated.
-        nv: Of its velocity.
-        nz: Internal states.
-        nu: Inputs.
-        ng: Rows of positions.
-        nh: Rows that velocities keep.
-        nq_all: Size of a configuration of all joints.
-        nv_all: Of their velocity.
-        is_flat: Whether configurations are a vector space with q' = v.
-        is_whole: Whether all joints are integrated.
-        is_projected: Whether every step is followed by a projection onto the rows.
-        is_rattle: Whether the method is RATTLE.
-        np: Parameters.
-        modes: Rows that give way at events, whose modes stand behind the parameters.
-        answers: Margins of their forces.
-        gaps: How many of them are gaps.
-        stays: How many have a rate that is none where they are on.
-        contacts: How many of them are normals of contacts with friction.
-        has_demands: Whether some of them are drives, whose demands are looked at in any mode.
-        asks_always: Whether accelerations are, for these or for the rates of slips.
-    """
-
-    nq: int
-    nv: int
-    nz: int
-    nu: int
-    ng: int
-    nh: int
-    nq_all: int
-    nv_all: int
-    is_flat: bool
-    is_whole: bool
-    is_projected: bool = False
-    is_rattle: bool = False
-    np: int = 0
-    modes: int = 0
-    answers: int = 0
-    gaps: int = 0
-    stays: int = 0
-    contacts: int = 0
-    has_demands: bool = False
-    asks_always: bool = False
-
-    @property
-    def functions(self) -> tuple[str, ...]:
-        """The functions that the integrators call, by the names of `Traced`."""
-        names = ["accelerate"]
-        if not self.is_flat:
-            names += ["integrate", "rate"]
-        if not self.is_whole:
-            names.append("expand")
-        if self.is_projected and self.ng:
-            names.append("place")
-        if self.is_rattle and self.ng:
-            names += ["gap", "lift"]
-        if (self.is_projected or self.is_rattle) and self.nh:
-            names.append("settle")
-        if self.modes:
-            names += ["heights", "answers"]
-        names += ["land"] * bool(self.gaps) + ["stay"] * bool(self.stays)
-        return tuple(names)
-
-
-def with_integrators(functions: Source, sizes: Sizes) -> Source:
-    """The source of a library that takes whole runs.
-
-    Args:
-        functions: What `emit` made of `Sizes.functions`; of vectors for runs side by side.
-        sizes: Of the scene.
-    """
-    work = max(one.work for one in functions.signatures.values())
-    numbers = {
-        **{name.upper(): int(value) for name, value in sizes._asdict().items()},
-        "WORK": work,
-    }
-    files = (*_FILES, *_LAST[functions.lanes > 1])
-    lines = [f"#define {name} {value}\n" for name, value in numbers.items()]
-    texts = [(NATIVE / name).read_text(encoding="utf-8") for name in files]
-    return functions._replace(text="".join((functions.text, *lines, *texts)))
-
-
-# ---- method options ---------------------------------------------------------------------------
-# Methods of integration as native runs know them.
-
-
-METHOD_OPTIONS_NATIVE = (
-    "rk4, adams, dopri5, dop853, rattle, semi_implicit_euler with explicit damping"
-)
-
-
-def method_options(method: Integrator, dt: float) -> Held:
-    """The method with steps of dt [s], or with that first guess.
-
-    Raises:
-        ModelError: Native runs do not know it.
-    """
-    if not method.native:
-        name = type_name(type(method))
-        raise ModelError(f"integrator {name} is not compiled; accepted: {METHOD_OPTIONS_NATIVE}")
-    kind = Method[method.native.upper()]
-    options, tables = OptionsOfC(method=kind, dt=dt), []
-    given: Any = method
-    if kind == Method.RUNGE_KUTTA:
-        tables.append(tableau_of(given.tableau))
-        tolerance = getattr(given, "tolerance", None)
-        options.is_adaptive, options.tolerance = tolerance is not None, tolerance or 0.0
-    elif kind == Method.ADAMS:
-        tables += [tableau_of(starter(given.order)), adams_of(given.order, dt)]
-        options.adams = tables[1].value
-    elif kind == Method.RATTLE:
-        options.closed = given.tolerance
-    if tables:
-        options.tableau = tables[0].value
-    return Held(options, tuple(array for table in tables for array in table.arrays))
-
-
-# ---- native run -------------------------------------------------------------------------------
-# Runs in native code, as Python calls them.
-
-
-# What native code remembers of a run, as Python reads and sets it.
+_MANY = 2**62
 
 
 class RunMemory:
@@ -463,53 +148,6 @@ class RunMemory:
         """A state of the system from numbers of the run, which it keeps."""
         x = State(t, q, v, z if z.size else NONE)
         return x if self._form is None else self._form.turned_back(x)
-
-
-# The functions of a library that take runs, as ctypes calls them.
-
-
-def bound(c: Any) -> Any:
-    """The functions of a library with the types of their arguments."""
-    pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
-    for name, arguments in (
-        ("restart", (pointer,)),
-        ("leave", (pointer,)),
-        ("touch", (pointer,)),
-        ("place_of", (whole,)),
-        ("sample_from", (*(pointer,) * 5, whole, pointer, pointer)),
-        ("advance", (pointer, pointer, pointer, number, whole)),
-        ("samples", (*(pointer,) * 4, number, whole, whole, pointer, pointer)),
-        ("evaluate_at", (pointer, pointer, number, pointer, pointer, pointer)),
-        ("again", (pointer, pointer, number, number, pointer)),
-        ("step_alone", (pointer, pointer, pointer, number)),
-        ("state_within", (pointer, pointer, number, pointer)),
-        ("margin_within", (pointer, pointer, number, whole)),
-        ("margin_again", (pointer, pointer, number, number, whole)),
-        ("first_event", (pointer,) * 4),
-        ("interpolate", (pointer, pointer, number, pointer)),
-    ):
-        getattr(c, name).argtypes = arguments
-    c.place_of.restype = whole
-    for name in ("evaluate_at", "margin_within", "margin_again", "first_event"):
-        getattr(c, name).restype = number
-    for name in ("restart", "leave", "touch"):
-        getattr(c, name).restype = None
-    return c
-
-
-_MANY = 2**62
-
-
-class Block(NamedTuple):
-    """Samples that one call took.
-
-    Attributes:
-        rows: A sample a row: time, positions, velocities of all joints, internal states.
-        status: Why there are no more.
-    """
-
-    rows: Array
-    status: Status
 
 
 class NativeRun(RunMemory):
@@ -675,6 +313,47 @@ class NativeRun(RunMemory):
         nq, end = self.sizes.nq, self.sizes.nq + self.sizes.nv
         out = self._out.copy()
         return self._turned_back(t, out[:nq], out[nq:end], out[end:])
+
+
+class Block(NamedTuple):
+    """Samples that one call took.
+
+    Attributes:
+        rows: A sample a row: time, positions, velocities of all joints, internal states.
+        status: Why there are no more.
+    """
+
+    rows: Array
+    status: Status
+
+
+def bound(c: Any) -> Any:
+    """The functions of a library with the types of their arguments."""
+    pointer, number, whole = ctypes.c_void_p, ctypes.c_double, ctypes.c_long
+    for name, arguments in (
+        ("restart", (pointer,)),
+        ("leave", (pointer,)),
+        ("touch", (pointer,)),
+        ("place_of", (whole,)),
+        ("sample_from", (*(pointer,) * 5, whole, pointer, pointer)),
+        ("advance", (pointer, pointer, pointer, number, whole)),
+        ("samples", (*(pointer,) * 4, number, whole, whole, pointer, pointer)),
+        ("evaluate_at", (pointer, pointer, number, pointer, pointer, pointer)),
+        ("again", (pointer, pointer, number, number, pointer)),
+        ("step_alone", (pointer, pointer, pointer, number)),
+        ("state_within", (pointer, pointer, number, pointer)),
+        ("margin_within", (pointer, pointer, number, whole)),
+        ("margin_again", (pointer, pointer, number, number, whole)),
+        ("first_event", (pointer,) * 4),
+        ("interpolate", (pointer, pointer, number, pointer)),
+    ):
+        getattr(c, name).argtypes = arguments
+    c.place_of.restype = whole
+    for name in ("evaluate_at", "margin_within", "margin_again", "first_event"):
+        getattr(c, name).restype = number
+    for name in ("restart", "leave", "touch"):
+        getattr(c, name).restype = None
+    return c
 
 
 def held_inputs(u: Array | Sequence[float], now: float) -> HeldTable:

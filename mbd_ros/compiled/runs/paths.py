@@ -1,5 +1,7 @@
 """Lengths, speeds and moment arms of paths, by native code."""
 
+from __future__ import annotations
+
 import ctypes
 from collections.abc import Sequence
 from itertools import chain
@@ -20,10 +22,6 @@ from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 
-# ---- path search ------------------------------------------------------------------------------
-# Taut paths of many samples, by the native search.
-
-
 WRAPS, LINES = 8, 31  # of a path
 HEAD = (
     '#define EXPORT __attribute__((visibility("default")))\n'
@@ -31,6 +29,15 @@ HEAD = (
 )
 _NUMBERS = (("sign", "f8"), ("size", "f8"), ("half", "f8"), ("axes", "f8", 3))
 ROW = np.dtype([("kind", "i4"), ("axis", "i4"), *_NUMBERS], align=True)
+_JOINT = np.dtype([("parent", "i4"), ("first", "i4"), ("count", "i4")], align=True)
+_POINT = np.dtype(
+    [("at", "f8", 3), ("ends", "f8", 2), ("joint", "i4"), ("within", "i4"), ("slides", "i4")],
+    align=True,
+)
+_WAY = np.dtype([("axis", "f8", 3), ("point", "i4")], align=True)
+_CARRIED = np.dtype([("at", "f8", 12), ("joint", "i4")], align=True)
+_NOWHERE = -1
+_ROTATION = 72  # bytes
 
 
 class PathSearch:
@@ -87,21 +94,6 @@ def _flat(points: Array, places: Sequence[Placed]) -> Array:
     for place in places:
         parts += [np.asarray(place.rotation).reshape(n, 9), place.origin]
     return np.ascontiguousarray(np.concatenate(parts, axis=1))
-
-
-# ---- state paths ------------------------------------------------------------------------------
-# Lengths, speeds and moment arms of paths, by native code at one configuration.
-
-
-_JOINT = np.dtype([("parent", "i4"), ("first", "i4"), ("count", "i4")], align=True)
-_POINT = np.dtype(
-    [("at", "f8", 3), ("ends", "f8", 2), ("joint", "i4"), ("within", "i4"), ("slides", "i4")],
-    align=True,
-)
-_WAY = np.dtype([("axis", "f8", 3), ("point", "i4")], align=True)
-_CARRIED = np.dtype([("at", "f8", 12), ("joint", "i4")], align=True)
-_NOWHERE = -1
-_ROTATION = 72  # bytes
 
 
 class StatePaths:
@@ -174,38 +166,11 @@ class StatePaths:
         return not np.isnan(self.length.dot(self._ones))
 
 
-def is_known(path: Path) -> bool:
-    """Whether native code knows a path."""
-    count = len(path.corners())
-    if not path.wraps:
-        return count > 0
-    known = all(type(wrap.surface) in SURFACES for wrap in path.wraps)
-    return known and len(path.wraps) <= WRAPS and 0 < count <= LINES + 1
-
-
 def _text(wrapped: bool) -> str:
     surfaces = (NATIVE / "surfaces.h").read_text(encoding="utf-8")
     last = (NATIVE / "state_paths.h").read_text(encoding="utf-8")
     before = HEAD + search_text() if wrapped else HEAD + surfaces
     return f"#define WRAPS {int(wrapped)}\n{before}{last}"
-
-
-def _surfaces(robot: Robot, paths: Sequence[Path]) -> tuple[NDArray[Any], ...]:
-    """How many points and surfaces paths have, what these are and where; room for a search."""
-    first = np.cumsum([0, *(len(path.wraps) for path in paths)])
-    of = [(len(p.corners()), len(p.wraps), i) for p, i in zip(paths, first, strict=False)]
-    reaches = [(i, r.first, r.last) for path in paths for i, r in enumerate(path.reaches)]
-    wraps = [wrap for path in paths for wrap in path.wraps]
-    places = [robot.places.points[wrap.point.number] for wrap in wraps]
-    carried = [((*p.at.rotation.ravel(), *p.at.translation), p.joint) for p in places]
-    room = max(1 + 3 * n + 12 * m for n, m, _ in of)
-    return (
-        np.array(of, dtype=np.int32),
-        np.array(reaches, dtype=np.int32),
-        np.array([tuple(row_of(wrap.surface)) for wrap in wraps], dtype=ROW),
-        np.array(carried, dtype=_CARRIED),
-        *np.zeros((2, room)),
-    )
 
 
 def _joints(model: Any) -> NDArray[Any]:
@@ -240,3 +205,30 @@ def _row(robot: Robot, point: ViaPoint) -> tuple[Any, ...]:
 def _ways(points: Sequence[ViaPoint]) -> list[tuple[Any, int]]:
     """Ways along which points slide, with the number of the point."""
     return [(axis, i) for i, point in enumerate(points) for axis, _ in point.directions]
+
+
+def _surfaces(robot: Robot, paths: Sequence[Path]) -> tuple[NDArray[Any], ...]:
+    """How many points and surfaces paths have, what these are and where; room for a search."""
+    first = np.cumsum([0, *(len(path.wraps) for path in paths)])
+    of = [(len(p.corners()), len(p.wraps), i) for p, i in zip(paths, first, strict=False)]
+    reaches = [(i, r.first, r.last) for path in paths for i, r in enumerate(path.reaches)]
+    wraps = [wrap for path in paths for wrap in path.wraps]
+    places = [robot.places.points[wrap.point.number] for wrap in wraps]
+    carried = [((*p.at.rotation.ravel(), *p.at.translation), p.joint) for p in places]
+    room = max(1 + 3 * n + 12 * m for n, m, _ in of)
+    return (
+        np.array(of, dtype=np.int32),
+        np.array(reaches, dtype=np.int32),
+        np.array([tuple(row_of(wrap.surface)) for wrap in wraps], dtype=ROW),
+        np.array(carried, dtype=_CARRIED),
+        *np.zeros((2, room)),
+    )
+
+
+def is_known(path: Path) -> bool:
+    """Whether native code knows a path."""
+    count = len(path.corners())
+    if not path.wraps:
+        return count > 0
+    known = all(type(wrap.surface) in SURFACES for wrap in path.wraps)
+    return known and len(path.wraps) <= WRAPS and 0 < count <= LINES + 1
