@@ -102,12 +102,12 @@ fuzz-nodes: venv
 	PYTHONPATH=test/support $(BIN)/python -m fuzz.nodes
 
 bench: venv
-	$(BIN)/python -m mbd_ros.applications.report.bench.forward
-	$(BIN)/python -m mbd_ros.applications.report.bench.inverse
-	$(BIN)/python -m mbd_ros.applications.report.bench.projector
-	$(BIN)/python -m mbd_ros.applications.report.bench.controllers
-	$(BIN)/python -m mbd_ros.applications.report.bench.contact
-	$(BIN)/python -m mbd_ros.applications.report.bench.biomechanics
+	$(BIN)/python benchmarks/costs/forward.py
+	$(BIN)/python benchmarks/costs/inverse.py
+	$(BIN)/python benchmarks/costs/projector.py
+	$(BIN)/python benchmarks/costs/controllers.py
+	$(BIN)/python benchmarks/costs/contact.py
+	$(BIN)/python benchmarks/costs/biomechanics.py
 
 against: venv
 	$(BIN)/python benchmarks/against.py $(or $(BASE),HEAD)

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.alone
 @pytest.mark.soak
 @pytest.mark.parametrize("name", ["arm7", "prosthetic_arm"])
 def test_no_message_is_lost_at_1_khz_for_60_s(name):
-    from mbd_ros.applications.report.bench.node_load import measure
+    from node_load import measure
 
     scene = load_scene(ROOT / "config" / "scenes" / f"{name}.yaml")
     node = ["-m", "mbd_ros.nodes", "inverse_dynamics", "--ros-args", "-p", f"scene:={scene.path}"]
@@ -26,7 +26,7 @@ def test_no_message_is_lost_at_1_khz_for_60_s(name):
 
 @pytest.mark.soak
 def test_the_benchmark_prints_its_ratios_as_json():
-    command = [sys.executable, "-m", "mbd_ros.applications.report.bench.inverse", "--seconds", "1"]
+    command = [sys.executable, "benchmarks/costs/inverse.py", "--seconds", "1"]
     ran = subprocess.run(command, capture_output=True, text=True, timeout=300, cwd=ROOT)
     assert ran.returncode == 0, ran.stderr
     result = json.loads(ran.stdout)

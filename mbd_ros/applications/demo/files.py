@@ -18,10 +18,6 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema.locate import find_file
 from mbd_ros.scene.schema.strict_yaml import read_mapping
 
-# ---- files ------------------------------------------------------------------------------------
-# Files of a demo: the simulated scene, the scene of the controller, and the gains.
-
-
 RATE = 500  # Hz of simulated time: ticks, joint states and commands
 MASS_SCALE = 0.7  # of all masses and inertias in the controller's model
 BAG, PICTURE, PAGE = "bag", "demo.png", "demo.html"
@@ -72,6 +68,21 @@ def write_scenes(
     _write_scaled(find_file(Path(), urdf, "demo"), folder / DESCRIPTION)
 
 
+def _write_yaml(path: Path, comment: str, content: dict[str, Any]) -> None:
+    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
+    path.write_text(f"# {comment}\n{text}", encoding="utf-8")
+
+
+def _write_scaled(source: Path, target: Path) -> None:
+    """Copy a robot description with all masses and inertias scaled."""
+    tree = ElementTree.parse(source)
+    attributes = [(e, "value") for e in tree.iter("mass")]
+    attributes += [(e, name) for e in tree.iter("inertia") for name in _MOMENTS]
+    for element, name in attributes:
+        element.set(name, repr(MASS_SCALE * float(element.get(name, "0"))))
+    tree.write(target, encoding="utf-8", xml_declaration=True)
+
+
 def write_gains(folder: Path, robot: DemoRobot, law: str, scene: Scene) -> dict[str, Any]:
     """Write the parameter file of the controller; its parameters."""
     parameters: dict[str, Any] = {"safe_ramp": _HAND_OVER}
@@ -96,25 +107,6 @@ def _gains(robot: DemoRobot, law: str, scene: Scene) -> dict[str, Any]:
         stiffness, damping = _SOFTNESS**2 * inertia, 2.0 * _SOFTNESS * inertia
         return {"stiffness": stiffness.round(6).tolist(), "damping": damping.round(6).tolist()}
     return {"kp": [_BANDWIDTH**2], "kd": [2.0 * _BANDWIDTH]}
-
-
-def _write_scaled(source: Path, target: Path) -> None:
-    """Copy a robot description with all masses and inertias scaled."""
-    tree = ElementTree.parse(source)
-    attributes = [(e, "value") for e in tree.iter("mass")]
-    attributes += [(e, name) for e in tree.iter("inertia") for name in _MOMENTS]
-    for element, name in attributes:
-        element.set(name, repr(MASS_SCALE * float(element.get(name, "0"))))
-    tree.write(target, encoding="utf-8", xml_declaration=True)
-
-
-def _write_yaml(path: Path, comment: str, content: dict[str, Any]) -> None:
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None, width=110)
-    path.write_text(f"# {comment}\n{text}", encoding="utf-8")
-
-
-# ---- folder -----------------------------------------------------------------------------------
-# A folder that takes its place as a whole, or not at all.
 
 
 @contextmanager

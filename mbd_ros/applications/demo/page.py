@@ -1,5 +1,7 @@
 """The page of a demo, in one file."""
 
+from __future__ import annotations
+
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
@@ -20,11 +22,6 @@ from mbd_ros.view.recording import POLICY
 if TYPE_CHECKING:
     from mbd_ros.applications.demo.numbers import DemoNumbers
 
-
-# ---- page -------------------------------------------------------------------------------------
-# The page of a demo, in one file: what moves in it runs a script, in a frame of its own.
-
-
 _STYLE = """
 .plots { display: grid; gap: 0 1.5rem;
   grid-template-columns: repeat(auto-fit, minmax(min(100%, 24rem), 1fr)); }
@@ -39,30 +36,6 @@ table { width: auto; } thead th.number { white-space: normal; }
   .plots figure { display: inline-block; width: 48%; vertical-align: top; }
   .plots figure img { max-height: 165mm; } }
 """
-
-
-class Content(NamedTuple):
-    """Contents of a page.
-
-    Attributes:
-        title: Heading.
-        facts: Line below it.
-        failed: Checks that are not met.
-        text: Paragraphs.
-        moving: What moves, HTML, and a line below it.
-        pictures: Caption -> PNG.
-        tables: The summary.
-        made: Name -> value, how it was made.
-    """
-
-    title: str
-    facts: str
-    failed: Sequence[str]
-    text: Sequence[str]
-    moving: tuple[str, str]
-    pictures: Mapping[str, bytes]
-    tables: Sequence[Table]
-    made: Mapping[str, str]
 
 
 def page(content: Content) -> str:
@@ -95,6 +68,30 @@ def page(content: Content) -> str:
     )
 
 
+class Content(NamedTuple):
+    """Contents of a page.
+
+    Attributes:
+        title: Heading.
+        facts: Line below it.
+        failed: Checks that are not met.
+        text: Paragraphs.
+        moving: What moves, HTML, and a line below it.
+        pictures: Caption -> PNG.
+        tables: The summary.
+        made: Name -> value, how it was made.
+    """
+
+    title: str
+    facts: str
+    failed: Sequence[str]
+    text: Sequence[str]
+    moving: tuple[str, str]
+    pictures: Mapping[str, bytes]
+    tables: Sequence[Table]
+    made: Mapping[str, str]
+
+
 def _verdict(failed: Sequence[str]) -> str:
     if not failed:
         return '<div class="verdict"><strong>All checks are met.</strong></div>'
@@ -125,11 +122,7 @@ def _pairs(made: Mapping[str, str]) -> str:
     return "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in made.items())
 
 
-# ---- moving -----------------------------------------------------------------------------------
-# The animated part of the page of a demo.
-
-
-def moving_run(numbers: "DemoNumbers", bag: Path, title: str) -> str:
+def moving_run(numbers: DemoNumbers, bag: Path, title: str) -> str:
     """The recorded motion of the plant with the forces that it published, as HTML to inline."""
     scene = numbers.plant
     rows = Frames(scene).rows
@@ -143,11 +136,6 @@ def moving_run(numbers: "DemoNumbers", bag: Path, title: str) -> str:
     return inlined(scene, motion, title)
 
 
-def moving_result(scene: Scene, result: Source, title: str, slower: float) -> str:
-    """A simulated motion, `slower` times slower, as HTML to inline."""
-    return inlined(scene, viewed_motion(scene, result, Frames(scene).rows), title, slower)
-
-
 def inlined(scene: Scene, motion: ViewedMotion, title: str, slower: float = 1.0) -> str:
     """A frame around an animated page, or a line on what is not installed."""
     if find_spec("viser") is None:
@@ -157,3 +145,8 @@ def inlined(scene: Scene, motion: ViewedMotion, title: str, slower: float = 1.0)
     text = escape(animated_page(scene, motion, title, slower=slower).text, quote=True)
     name = escape(title, quote=True)
     return f'<iframe title="{name}" sandbox="allow-scripts" srcdoc="{text}"></iframe>'
+
+
+def moving_result(scene: Scene, result: Source, title: str, slower: float) -> str:
+    """A simulated motion, `slower` times slower, as HTML to inline."""
+    return inlined(scene, viewed_motion(scene, result, Frames(scene).rows), title, slower)

@@ -1,5 +1,7 @@
 """The task of the demo: robots, control laws, a reference against a disturbance."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +11,20 @@ from mbd_ros.methods.control.efforts import MobilityFactor
 from mbd_ros.methods.projection.observed_state import ObservedState
 from mbd_ros.scene.built_scene import Scene
 
-# ---- choices ----------------------------------------------------------------------------------
-# Robots and control laws of the demo, and how each robot is moved and controlled.
+WALKING = "swing of a leg with nine muscles, from markers to the load of the knee"
+TWIN = "press with one encoder, its digital twin, and faults that are named"
+LAWS = {  # law -> node that has it
+    "sliding_mode": "sliding_mode_controller",
+    "super_twisting": "sliding_mode_controller",
+    "computed_torque": "sliding_mode_controller",
+    "gravity_compensation": "sliding_mode_controller",
+    "qp_tracking": "qp_controller",
+}
+_SCENES = "package://mbd_ros/config/scenes"
+RATE, DISTURBANCE_RATE = 20.0, 50.0  # samples of the reference and of the disturbance [Hz]
+DISTURBANCE_SHARE = 0.2  # of the largest gravity torque
+MARGIN = 1.0  # s that reference and disturbance outlast the demo
+_SECOND_SIZE, _SECOND_SPEED = 0.3, 2.3  # of the second sine, in those of the first
 
 
 class DemoRobot(NamedTuple):
@@ -34,16 +48,6 @@ class DemoRobot(NamedTuple):
     disturbance_rate: tuple[float, ...]
 
 
-WALKING = "swing of a leg with nine muscles, from markers to the load of the knee"
-TWIN = "press with one encoder, its digital twin, and faults that are named"
-LAWS = {  # law -> node that has it
-    "sliding_mode": "sliding_mode_controller",
-    "super_twisting": "sliding_mode_controller",
-    "computed_torque": "sliding_mode_controller",
-    "gravity_compensation": "sliding_mode_controller",
-    "qp_tracking": "qp_controller",
-}
-_SCENES = "package://mbd_ros/config/scenes"
 ROBOTS = {
     "arm": DemoRobot(
         "prosthetic arm with a tendon-coupled elbow",
@@ -80,46 +84,6 @@ ROBOTS = {
 }
 
 
-# ---- task -------------------------------------------------------------------------------------
-# The task of the controlled robot of the demo: a reference, against a disturbance.
-
-
-RATE, DISTURBANCE_RATE = 20.0, 50.0  # samples of the reference and of the disturbance [Hz]
-DISTURBANCE_SHARE = 0.2  # of the largest gravity torque
-MARGIN = 1.0  # s that reference and disturbance outlast the demo
-_SECOND_SIZE, _SECOND_SPEED = 0.3, 2.3  # of the second sine, in those of the first
-
-
-class ReferenceTrajectory(NamedTuple):
-    """Samples of the reference, one row a sample, one column an actuated joint.
-
-    Attributes:
-        times: [s], shape (k,).
-        q: [rad], shape (k, n).
-        v: [rad/s], same shape.
-        a: [rad/s^2], same shape.
-    """
-
-    times: Array
-    q: Array
-    v: Array
-    a: Array
-
-
-class Disturbance(NamedTuple):
-    """Sinusoidal torques beside those of the actuators.
-
-    Attributes:
-        times: [s], shape (k,).
-        torque: [N·m], shape (k, n).
-        size: Amplitudes [N·m], shape (n,).
-    """
-
-    times: Array
-    torque: Array
-    size: Array
-
-
 def trajectory(robot: DemoRobot, start: Array, duration: float) -> ReferenceTrajectory:
     """Sums of two sines a joint, which begin at rest at `start` and come to speed within 1 s.
 
@@ -147,6 +111,22 @@ def trajectory(robot: DemoRobot, start: Array, duration: float) -> ReferenceTraj
     return ReferenceTrajectory(t[:, 0], q, v, a)
 
 
+class ReferenceTrajectory(NamedTuple):
+    """Samples of the reference, one row a sample, one column an actuated joint.
+
+    Attributes:
+        times: [s], shape (k,).
+        q: [rad], shape (k, n).
+        v: [rad/s], same shape.
+        a: [rad/s^2], same shape.
+    """
+
+    times: Array
+    q: Array
+    v: Array
+    a: Array
+
+
 def disturbance(scene: Scene, reference: ReferenceTrajectory) -> Disturbance:
     """Sines of a fifth of the largest torque that holds each joint along the reference."""
     size = DISTURBANCE_SHARE * np.abs(_gravity_torques(scene, reference)).max(axis=0)
@@ -154,6 +134,20 @@ def disturbance(scene: Scene, reference: ReferenceTrajectory) -> Disturbance:
     i = np.arange(len(size))
     torque = size * np.sin((4.0 + 0.7 * i) * times[:, None] + 0.9 * i + 0.3)
     return Disturbance(times, torque, size)
+
+
+class Disturbance(NamedTuple):
+    """Sinusoidal torques beside those of the actuators.
+
+    Attributes:
+        times: [s], shape (k,).
+        torque: [N·m], shape (k, n).
+        size: Amplitudes [N·m], shape (n,).
+    """
+
+    times: Array
+    torque: Array
+    size: Array
 
 
 def _gravity_torques(scene: Scene, reference: ReferenceTrajectory) -> Array:

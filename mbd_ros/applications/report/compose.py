@@ -1,11 +1,12 @@
 """From parts to a page: `mbd-ros report`."""
 
+from __future__ import annotations
+
 import importlib
 import json
 import math
 import os
 import platform
-import re
 import subprocess
 import time
 from collections import Counter
@@ -37,11 +38,224 @@ from mbd_ros.view.frames import Frames
 from mbd_ros.view.motion import viewed_motion
 from mbd_ros.view.recording import animated_page
 
-# ---- work -------------------------------------------------------------------------------------
-# Items of the parts as tasks for workers, and their results.
-
-
 _PATIENCE, _SLOWER = 300.0, 20.0  # s; how many times slower than expected is still waited for
+FOLDER = "scenes"  # pages beside a report that show its scenes as they move
+_LONGEST = 2.0  # s that a page shows
+_SHOWN = ("mbd_ros", *VERSIONS, "matplotlib", "dask")  # packages whose version is told
+_GIB = 2**30
+_DPI = 150
+
+
+def report(order: Order) -> Iterator[str]:
+    """Run items without a result, then write page, numbers and plots.
+
+    Yields:
+        What happens, a line each.
+
+    Raises:
+        Wrong: A part or an item has something wrong.
+        DataError: Input that cannot be used.
+    """
+    program.cache_clear()  # of a process that made a report before
+    begin, facts = time.monotonic(), _facts(order)
+    scenes = list(dict.fromkeys(map(_scene, order.scenes)))
+    kinds = [kind for kind in items.PARTS if not order.only or kind in order.only]
+    found = collect(kinds, scenes, order.quick)
+    work = [item for made in found.values() if isinstance(made, list) for item in made]
+    results: dict[str, Result] = {}
+    facts["changed"] = yield from _results(order, work, results)
+    sections = {kind: _section(kind, made, results) for kind, made in found.items()}
+    sections = {k: _asked(s) if k in order.only else s for k, s in sections.items()}
+    facts["pages"] = {}
+    if not (order.quick or order.only):
+        measured = {item.spec.get("scene") for item in work}
+        shown = [subject for subject in subjects(scenes, False) if subject.path in measured]
+        yield from scene_pages(shown, order.out, facts["pages"])
+    facts["duration"] = time.monotonic() - begin
+    wrong = _write(order.out, facts, sections, [(item, results[label(item)]) for item in work])
+    yield f"{len(sections)} sections -> {order.out / 'index.html'}"
+    if wrong:
+        raise Wrong("\n".join([f"{len(wrong)} wrong:", *wrong]))
+
+
+class Order(NamedTuple):
+    """The order of a user.
+
+    Attributes:
+        scenes: Files, package:// names, or names of embedded scenes; none for all of ours.
+        quick: The short version.
+        out: Folder for page, numbers, plots and results.
+        scheduler: Of a Dask cluster; None for processes of this machine.
+        workers: How many processes; None for one a core.
+        only: Kinds; none for all.
+    """
+
+    scenes: Sequence[str] = ()
+    quick: bool = False
+    out: Path = Path("report_out")
+    scheduler: str | None = None
+    workers: int | None = None
+    only: Sequence[str] = ()
+
+
+def _facts(order: Order) -> dict[str, Any]:
+    return {
+        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "quick": order.quick,
+        "scenes": list(order.scenes),
+        "machine": machine(),
+        "versions": package_versions(),
+        "git": git_state(),
+    }
+
+
+def machine() -> dict[str, Any]:
+    """Processor, memory, system and load."""
+    described = {"cpu": cpu(), "cores": cores(), "system": platform.platform()}
+    if hasattr(os, "sysconf"):
+        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        described["memory"] = f"{size / _GIB:.1f} GiB"
+    if hasattr(os, "getloadavg"):
+        described["load"] = f"{os.getloadavg()[0]:.2f} at the start"
+    return described
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of this package and of its libraries."""
+    return versions(_SHOWN)
+
+
+def git_state() -> dict[str, Any]:
+    """Commit of the checkout, and whether it was changed; empty outside of one."""
+    package = Path(mbd_ros.__path__[0])
+    try:
+        if not _git(package, "ls-files", "cli.py"):
+            return {}
+        changed = bool(_git(package, "status", "--porcelain", "--untracked-files=all", "."))
+        return {"commit": _git(package, "rev-parse", "HEAD"), "changed": changed}
+    except (OSError, subprocess.SubprocessError):
+        return {}
+
+
+def _git(folder: Path, *words: str) -> str:
+    command = ["git", "-C", str(folder), *words]
+    ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
+    return ran.stdout.strip()
+
+
+def _scene(name: str) -> str:
+    """A name that means the same in every worker, of a scene that can be built.
+
+    Raises:
+        MbdError: There is no such scene, or what is wrong with it.
+    """
+    if not name.startswith("package://"):
+        path = find_scene(name)
+        if not path.is_file():
+            raise DataError(f"{name}: does not exist")
+        name = str(path.resolve())
+    load_scene(name)
+    return name
+
+
+def _results(
+    order: Order, work: Sequence[Item], results: dict[str, Result]
+) -> Generator[str, None, list[str]]:
+    """Fill in stored and new results; returns files that changed meanwhile."""
+    with open_workers(order.scheduler, order.workers) as workers:
+        store = Store(order.out, workers.cpu())
+        results |= {label(item): r for item in work if (r := store.load(item)) is not None}
+        rest = [item for item in work if label(item) not in results]
+        yield f"{len(work)} items, {len(results)} of them done before"
+        if rest:
+            expected = Remaining(rest, workers.count).seconds
+            yield f"{len(rest)} items by {workers.count} workers: about {spoken(expected)}"
+            results |= finish(rest, store, workers, elsewhere=_elsewhere(order))
+    if store.changed:
+        yield f"changed while this ran: {', '.join(store.changed)}; run it again"
+    return list(store.changed)
+
+
+def label(item: Item) -> str:
+    """What an item is called among those of all kinds."""
+    return f"{item.kind}/{item.name}"
+
+
+def _elsewhere(order: Order) -> bool:
+    return order.scheduler is not None and not order.scheduler.startswith("local:")
+
+
+def _section(kind: str, made: list[Item] | Section, results: Mapping[str, Result]) -> Section:
+    if isinstance(made, Section):
+        return made
+    mine = [(item, results[label(item)]) for item in made]
+    failures = [f"{label(item)}: {r.failure}" for item, r in mine if r.failure]
+    section = items.part(kind).section([(item, r.value) for item, r in mine if not r.failure])
+    return section._replace(wrong=[*failures, *section.wrong])
+
+
+def _asked(section: Section) -> Section:
+    """Refuse a kind that was asked for by name and has nothing to show, with the reason."""
+    if section.tables or section.wrong:
+        return section
+    reasons = " ".join(section.text)
+    return section._replace(wrong=[f"asked for, but nothing was measured: {reasons}"])
+
+
+def _write(
+    folder: Path,
+    facts: dict[str, Any],
+    sections: Mapping[str, Section],
+    work: Sequence[tuple[Item, Result]],
+) -> list[str]:
+    """Plots first, page last; returns what is wrong."""
+    pictures = {}
+    for section in sections.values():
+        for name, figure in section.figures.items():
+            pictures[name] = _picture(figure)
+            with replacing(folder / f"{name}.png") as file:
+                file.write(pictures[name])
+    wrong = [f"{s.title}: {line}" for s in sections.values() for line in s.wrong]
+    facts["wrong"] = wrong
+    facts["timed"] = sum(item.alone for item, _ in work)
+    facts["cpus"] = sorted({r.cpu for item, r in work if item.alone})
+    facts["work"] = sum(result.seconds for _, result in work)
+    shown = {kind: s._replace(figures=list(s.figures))._asdict() for kind, s in sections.items()}
+    done = [_entry(item, result) for item, result in work]
+    numbers = json.dumps(plain({**facts, "sections": shown, "items": done}), indent=1)
+    with replacing(folder / "report.json") as file:
+        file.write(numbers.encode())
+    with replacing(folder / "index.html") as file:
+        file.write(page(facts, sections, pictures).encode())
+    return wrong
+
+
+def _picture(figure: Any) -> bytes:
+    buffer = BytesIO()
+    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
+    return buffer.getvalue()
+
+
+def _entry(item: Item, result: Result) -> dict[str, Any]:
+    what = {"failure": result.failure} if result.failure else {"outcome": result.value}
+    return {**item._asdict(), **what, "took": result.seconds, "cpu": result.cpu}
+
+
+def plain(value: Any) -> Any:
+    """The same for readers whose JSON has no NaN and no infinity: these become texts."""
+    if isinstance(value, float) and not math.isfinite(value):
+        return str(value)
+    if isinstance(value, Mapping):
+        return {key: plain(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(entry) for entry in value]
+    return value
+
+
+class Wrong(MbdError):
+    """A report with something wrong; its page is complete."""
+
+    exit_code = FAILED
 
 
 def collect(
@@ -91,11 +305,6 @@ def finish(
     return results
 
 
-def label(item: Item) -> str:
-    """What an item is called among those of all kinds."""
-    return f"{item.kind}/{item.name}"
-
-
 def _task(item: Item, elsewhere: bool) -> Task:
     module = items.PARTS[item.kind]
     wanted = program(module) if elsewhere else None
@@ -119,16 +328,6 @@ def perform(argument: Mapping[str, Any]) -> Outcome:
     with quiet, permitting(argument["allow_code"]):
         outcome: Outcome = importlib.import_module(module).run(argument["spec"])
     return outcome
-
-
-# ---- compose ----------------------------------------------------------------------------------
-# From parts to a page: `mbd-ros report`.
-
-
-# Pages beside a report that show its scenes as they move.
-
-FOLDER = "scenes"
-_LONGEST = 2.0  # s that a page shows
 
 
 def scene_pages(subjects: Sequence[Subject], folder: Path, made: dict[str, str]) -> Iterator[str]:
@@ -168,303 +367,3 @@ def _page(subject: Subject) -> str:
     result = simulate(scene, min(subject.times[-1], _LONGEST))
     motion = viewed_motion(scene, result, Frames(scene).rows)
     return animated_page(scene, motion, subject.name).text
-
-
-# Machine, versions and commit of a report.
-
-_SHOWN = ("mbd_ros", *VERSIONS, "matplotlib", "dask")
-_GIB = 2**30
-
-
-def machine() -> dict[str, Any]:
-    """Processor, memory, system and load."""
-    described = {"cpu": cpu(), "cores": cores(), "system": platform.platform()}
-    if hasattr(os, "sysconf"):
-        size = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-        described["memory"] = f"{size / _GIB:.1f} GiB"
-    if hasattr(os, "getloadavg"):
-        described["load"] = f"{os.getloadavg()[0]:.2f} at the start"
-    return described
-
-
-def package_versions() -> dict[str, str]:
-    """Versions of this package and of its libraries."""
-    return versions(_SHOWN)
-
-
-def git_state() -> dict[str, Any]:
-    """Commit of the checkout, and whether it was changed; empty outside of one."""
-    package = Path(mbd_ros.__path__[0])
-    try:
-        if not _git(package, "ls-files", "cli.py"):
-            return {}
-        changed = bool(_git(package, "status", "--porcelain", "--untracked-files=all", "."))
-        return {"commit": _git(package, "rev-parse", "HEAD"), "changed": changed}
-    except (OSError, subprocess.SubprocessError):
-        return {}
-
-
-def _git(folder: Path, *words: str) -> str:
-    command = ["git", "-C", str(folder), *words]
-    ran = subprocess.run(command, capture_output=True, text=True, check=True, timeout=30)
-    return ran.stdout.strip()
-
-
-_DPI = 150
-
-
-class Order(NamedTuple):
-    """The order of a user.
-
-    Attributes:
-        scenes: Files, package:// names, or names of embedded scenes; none for all of ours.
-        quick: The short version.
-        out: Folder for page, numbers, plots and results.
-        scheduler: Of a Dask cluster; None for processes of this machine.
-        workers: How many processes; None for one a core.
-        only: Kinds; none for all.
-    """
-
-    scenes: Sequence[str] = ()
-    quick: bool = False
-    out: Path = Path("report_out")
-    scheduler: str | None = None
-    workers: int | None = None
-    only: Sequence[str] = ()
-
-
-class Wrong(MbdError):
-    """A report with something wrong; its page is complete."""
-
-    exit_code = FAILED
-
-
-def report(order: Order) -> Iterator[str]:
-    """Run items without a result, then write page, numbers and plots.
-
-    Yields:
-        What happens, a line each.
-
-    Raises:
-        Wrong: A part or an item has something wrong.
-        DataError: Input that cannot be used.
-    """
-    program.cache_clear()  # of a process that made a report before
-    begin, facts = time.monotonic(), _facts(order)
-    scenes = list(dict.fromkeys(map(_scene, order.scenes)))
-    kinds = [kind for kind in items.PARTS if not order.only or kind in order.only]
-    found = collect(kinds, scenes, order.quick)
-    work = [item for made in found.values() if isinstance(made, list) for item in made]
-    results: dict[str, Result] = {}
-    facts["changed"] = yield from _results(order, work, results)
-    sections = {kind: _section(kind, made, results) for kind, made in found.items()}
-    sections = {k: _asked(s) if k in order.only else s for k, s in sections.items()}
-    facts["pages"] = {}
-    if not (order.quick or order.only):
-        measured = {item.spec.get("scene") for item in work}
-        shown = [subject for subject in subjects(scenes, False) if subject.path in measured]
-        yield from scene_pages(shown, order.out, facts["pages"])
-    facts["duration"] = time.monotonic() - begin
-    wrong = _write(order.out, facts, sections, [(item, results[label(item)]) for item in work])
-    yield f"{len(sections)} sections -> {order.out / 'index.html'}"
-    if wrong:
-        raise Wrong("\n".join([f"{len(wrong)} wrong:", *wrong]))
-
-
-def _results(
-    order: Order, work: Sequence[Item], results: dict[str, Result]
-) -> Generator[str, None, list[str]]:
-    """Fill in stored and new results; returns files that changed meanwhile."""
-    with open_workers(order.scheduler, order.workers) as workers:
-        store = Store(order.out, workers.cpu())
-        results |= {label(item): r for item in work if (r := store.load(item)) is not None}
-        rest = [item for item in work if label(item) not in results]
-        yield f"{len(work)} items, {len(results)} of them done before"
-        if rest:
-            expected = Remaining(rest, workers.count).seconds
-            yield f"{len(rest)} items by {workers.count} workers: about {spoken(expected)}"
-            results |= finish(rest, store, workers, elsewhere=_elsewhere(order))
-    if store.changed:
-        yield f"changed while this ran: {', '.join(store.changed)}; run it again"
-    return list(store.changed)
-
-
-def _facts(order: Order) -> dict[str, Any]:
-    return {
-        "date": datetime.now(timezone.utc).isoformat(timespec="seconds"),
-        "quick": order.quick,
-        "scenes": list(order.scenes),
-        "machine": machine(),
-        "versions": package_versions(),
-        "git": git_state(),
-    }
-
-
-def _elsewhere(order: Order) -> bool:
-    return order.scheduler is not None and not order.scheduler.startswith("local:")
-
-
-def _scene(name: str) -> str:
-    """A name that means the same in every worker, of a scene that can be built.
-
-    Raises:
-        MbdError: There is no such scene, or what is wrong with it.
-    """
-    if not name.startswith("package://"):
-        path = find_scene(name)
-        if not path.is_file():
-            raise DataError(f"{name}: does not exist")
-        name = str(path.resolve())
-    load_scene(name)
-    return name
-
-
-def _section(kind: str, made: list[Item] | Section, results: Mapping[str, Result]) -> Section:
-    if isinstance(made, Section):
-        return made
-    mine = [(item, results[label(item)]) for item in made]
-    failures = [f"{label(item)}: {r.failure}" for item, r in mine if r.failure]
-    section = items.part(kind).section([(item, r.value) for item, r in mine if not r.failure])
-    return section._replace(wrong=[*failures, *section.wrong])
-
-
-def _asked(section: Section) -> Section:
-    """Refuse a kind that was asked for by name and has nothing to show, with the reason."""
-    if section.tables or section.wrong:
-        return section
-    reasons = " ".join(section.text)
-    return section._replace(wrong=[f"asked for, but nothing was measured: {reasons}"])
-
-
-def _write(
-    folder: Path,
-    facts: dict[str, Any],
-    sections: Mapping[str, Section],
-    work: Sequence[tuple[Item, Result]],
-) -> list[str]:
-    """Plots first, page last; returns what is wrong."""
-    pictures = {}
-    for section in sections.values():
-        for name, figure in section.figures.items():
-            pictures[name] = _picture(figure)
-            with replacing(folder / f"{name}.png") as file:
-                file.write(pictures[name])
-    wrong = [f"{s.title}: {line}" for s in sections.values() for line in s.wrong]
-    facts["wrong"] = wrong
-    facts["timed"] = sum(item.alone for item, _ in work)
-    facts["cpus"] = sorted({r.cpu for item, r in work if item.alone})
-    facts["work"] = sum(result.seconds for _, result in work)
-    shown = {kind: s._replace(figures=list(s.figures))._asdict() for kind, s in sections.items()}
-    done = [_entry(item, result) for item, result in work]
-    numbers = json.dumps(plain({**facts, "sections": shown, "items": done}), indent=1)
-    with replacing(folder / "report.json") as file:
-        file.write(numbers.encode())
-    with replacing(folder / "index.html") as file:
-        file.write(page(facts, sections, pictures).encode())
-    return wrong
-
-
-def _entry(item: Item, result: Result) -> dict[str, Any]:
-    what = {"failure": result.failure} if result.failure else {"outcome": result.value}
-    return {**item._asdict(), **what, "took": result.seconds, "cpu": result.cpu}
-
-
-def _picture(figure: Any) -> bytes:
-    buffer = BytesIO()
-    figure.savefig(buffer, format="png", dpi=_DPI, metadata={"Software": None})
-    return buffer.getvalue()
-
-
-def plain(value: Any) -> Any:
-    """The same for readers whose JSON has no NaN and no infinity: these become texts."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return str(value)
-    if isinstance(value, Mapping):
-        return {key: plain(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(entry) for entry in value]
-    return value
-
-
-# ---- readme -----------------------------------------------------------------------------------
-# The headlines of a report in a page: `mbd-ros report --readme`.
-
-
-BEGIN, END = "<!-- report: begin -->", "<!-- report: end -->"
-_BETWEEN = re.compile(f"{re.escape(BEGIN)}.*?{re.escape(END)}", re.DOTALL)
-_PLOT = Path("images/report.png")
-
-
-def put_headlines(readme: Path, folder: Path) -> Iterator[str]:
-    """Replace what is between the marks of a page, and the plot in `images` beside it.
-
-    Args:
-        readme: The page.
-        folder: That of a report.
-
-    Yields:
-        What was written.
-
-    Raises:
-        DataError: There is no report, or the page has no marks.
-    """
-    numbers = _load(folder / "report.json")
-    try:
-        text = readme.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"{readme}: cannot be read ({error.strerror})") from error
-    if len(_BETWEEN.findall(text)) != 1:
-        raise DataError(f"{readme}: expected {BEGIN} and {END} once")
-    lines = [BEGIN, *_made(numbers), *_tables(numbers)]
-    figures = [f for s in numbers["sections"].values() for f in s["figures"] if f in s["headline"]]
-    if figures:
-        target = readme.parent / _PLOT
-        target.parent.mkdir(exist_ok=True)
-        with replacing(target) as file:
-            file.write((folder / f"{figures[0]}.png").read_bytes())
-        lines += [f"![{figures[0].replace('_', ' ')}]({_PLOT.as_posix()})", ""]
-        yield f"{figures[0]} -> {target}"
-    new = _BETWEEN.sub(lambda _: "\n".join([*lines, END]), text)
-    with replacing(readme) as file:
-        file.write(new.encode())
-    yield f"headlines of {os.fspath(folder)} -> {readme}"
-
-
-def _load(path: Path) -> dict[str, Any]:
-    try:
-        loaded: dict[str, Any] = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise DataError(f"{path}: no report that can be read ({error})") from error
-    return loaded
-
-
-def _made(numbers: Mapping[str, Any]) -> Iterator[str]:
-    machine, git = numbers["machine"], numbers["git"]
-    commit = f", commit {git['commit'][:10]}" if git else ""
-    changed = " with changes" if git.get("changed") else ""
-    quick = " --quick" if numbers["quick"] else ""
-    versions = (f"{n} {v}" for n, v in numbers["versions"].items() if n not in ("mbd_ros", "dask"))
-    yield (
-        f"Made by `mbd-ros report{quick}` on {numbers['date'][:10]}{commit}{changed}; "
-        f"{machine['cpu']}, {machine['cores']} cores; {', '.join(versions)}."
-    )
-    if numbers["wrong"]:
-        yield f"**{len(numbers['wrong'])} cells are wrong.**"
-    yield ""
-
-
-def _tables(numbers: Mapping[str, Any]) -> Iterator[str]:
-    for section in numbers["sections"].values():
-        for title, columns, rows in section["tables"]:
-            if title in section["headline"]:
-                yield f"{title}:"
-                yield ""
-                yield _row(columns)
-                yield "|---" * len(columns) + "|"
-                yield from map(_row, rows)
-                yield ""
-
-
-def _row(cells: list[str]) -> str:
-    escaped = (cell.replace("|", r"\|") for cell in cells)
-    return f"| {' | '.join(escaped)} |"

@@ -1,5 +1,7 @@
 """Results on disk, a file an item, and what they depend on."""
 
+from __future__ import annotations
+
 import ast
 import hashlib
 import importlib.metadata
@@ -23,177 +25,14 @@ from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.workers.task import Result
 from mbd_ros.scene.schema.locate import find_file
 
-# ---- program ----------------------------------------------------------------------------------
-# Dependencies of a stored result: sources, versions, and the files that its item names.
-
-
 VERSIONS = ("numpy", "pin", "proxsuite", "scipy", "casadi", "mujoco", "drake", "exudyn")
 _REPORT = "mbd_ros.applications.report"
 _REGISTRY = f"{_REPORT}.items"  # names all parts, of which none loads another one
 _MODULE = re.compile(rf"{re.escape(_REPORT)}(\.\w+)+", re.ASCII)
 _EMPTY = "package://mbd_ros/config/scenes/empty.yaml"
-
-
-def versions(names: Iterable[str] = VERSIONS) -> dict[str, str]:
-    """Versions of those packages that are installed."""
-    found = {"python": platform.python_version()}
-    for name in names:
-        try:
-            found[name] = importlib.metadata.version(name)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
-
-
-def program_now(module: str) -> str:
-    """Hash of all sources and versions of a part, read now.
-
-    These are the package without nodes and other parts of the report, its scenes and robots, and
-    the versions of the packages below. Modules that only show results are not among them.
-
-    Args:
-        module: That of the part.
-    """
-    root = Path(mbd_ros.__path__[0])
-    files = {path for path in root.rglob("*.py") if _computes(path.relative_to(root))}
-    files |= {*root.glob("report/**/*.json"), *root.glob("compiled/**/*.[ch]"), *_needed(module)}
-    config = find_file(Path(), _EMPTY, "report").parents[1]
-    files |= {path for path in config.rglob("*") if path.is_file()}
-    parts = [f"{name} {version}" for name, version in versions().items()]
-    return _hash([*parts, *sorted(_contents(files))])
-
-
-@cache
-def program(module: str) -> str:
-    """The first result of `program_now`."""
-    return program_now(module)
-
-
-def named_files(value: Any) -> dict[str, str]:
-    """Files that a spec names, and that scenes among them name, with hashes of their content."""
-    found: dict[str, str] = {}
-    for text in _strings(value):
-        _add(found, Path(), text)
-    return found
-
-
-def _computes(path: Path) -> bool:
-    return path.parts[0] not in ("nodes", "demo", "report", "cli.py")
-
-
-def _contents(files: Iterable[Path]) -> Iterator[str]:
-    for path in files:
-        yield f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}"
-
-
-def _hash(lines: Iterable[str]) -> str:
-    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
-
-
-def _needed(module: str) -> set[Path]:
-    """Files of a module and of all modules of the report that it needs, directly or not."""
-    files, waiting, seen = set(), [module], set()
-    while waiting:
-        name = waiting.pop()
-        if name in seen:
-            continue
-        seen.add(name)
-        file = _file(name)
-        if file is not None:
-            files.add(file)
-            waiting += _mentioned(file.read_bytes(), name != _REGISTRY)
-    return files
-
-
-def _file(module: str) -> Path | None:
-    try:
-        spec = importlib.util.find_spec(module)
-    except ModuleNotFoundError:  # a text that only looks like the name of a module
-        return None
-    return Path(spec.origin) if spec is not None and spec.origin is not None else None
-
-
-@cache
-def _mentioned(source: bytes, with_texts: bool) -> tuple[str, ...]:
-    """Modules of the report that a source imports, or names in a text to load them later."""
-    found: list[str] = []
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and with_texts:
-            found.append(node.value)
-        found += _names(node)
-    return tuple(name for name in found if _MODULE.fullmatch(name))
-
-
-def _names(node: ast.AST) -> list[str]:
-    if isinstance(node, ast.Import):
-        return [alias.name for alias in node.names]
-    if isinstance(node, ast.ImportFrom):
-        module = str(node.module)
-        within = [f"{module}.{alias.name}" for alias in node.names]
-        return within if _is_package(module) else [module]
-    return []
-
-
-def _is_package(module: str) -> bool:
-    """Whether this is a folder of the report."""
-    if module != _REPORT and not module.startswith(f"{_REPORT}."):
-        return False
-    spec = importlib.util.find_spec(module)
-    return spec is not None and spec.submodule_search_locations is not None
-
-
-def _strings(value: Any) -> Iterator[str]:
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, Mapping):
-        for entry in value.values():
-            yield from _strings(entry)
-    elif isinstance(value, list | tuple):
-        for entry in value:
-            yield from _strings(entry)
-
-
-def _add(found: dict[str, str], folder: Path, text: str) -> None:
-    if not text or len(text) > 1000 or "\n" in text or "\0" in text:
-        return
-    try:
-        path = find_file(folder, text, "report")
-        if path.is_file() and str(path) not in found:
-            found[str(path)], named = _read(path)
-            for entry in named:
-                _add(found, path.parent, entry)
-    except (SceneError, OSError):  # a text that is no file
-        return
-
-
-def _read(path: Path) -> tuple[str, tuple[str, ...]]:
-    """Hash of a file, and the texts in it where it is YAML."""
-    content = path.read_bytes()
-    is_yaml = path.suffix in (".yaml", ".yml")
-    return hashlib.sha256(content).hexdigest(), _texts(content) if is_yaml else ()
-
-
-@cache
-def _texts(content: bytes) -> tuple[str, ...]:
-    with suppress(yaml.YAMLError):
-        return tuple(_strings(yaml.safe_load(content)))
-    return ()
-
-
-# ---- store ------------------------------------------------------------------------------------
-# Results on disk, a file an item, from which an interrupted report continues.
-
-
 _NAME = re.compile(r"[\w.-]+", re.ASCII)
 _FOLDER, _MARK, _NUMBERS = "results", ".mbd_ros_report", "report.json"
 _OURS = b'"sections"'  # in the numbers of a report
-
-
-class _Basis(NamedTuple):
-    """What a result depends on besides its item: hashes of the program and of named files."""
-
-    program: str
-    files: Mapping[str, str]
 
 
 class Store:
@@ -286,9 +125,162 @@ def _is_report(folder: Path) -> bool:
     return (folder / _FOLDER).is_dir() and numbers.is_file() and _OURS in numbers.read_bytes()
 
 
+class _Basis(NamedTuple):
+    """What a result depends on besides its item: hashes of the program and of named files."""
+
+    program: str
+    files: Mapping[str, str]
+
+
+def program_now(module: str) -> str:
+    """Hash of all sources and versions of a part, read now.
+
+    These are the package without nodes and other parts of the report, its scenes and robots, and
+    the versions of the packages below. Modules that only show results are not among them.
+
+    Args:
+        module: That of the part.
+    """
+    root = Path(mbd_ros.__path__[0])
+    files = {path for path in root.rglob("*.py") if _computes(path.relative_to(root))}
+    files |= {*root.glob("report/**/*.json"), *root.glob("compiled/**/*.[ch]"), *_needed(module)}
+    config = find_file(Path(), _EMPTY, "report").parents[1]
+    files |= {path for path in config.rglob("*") if path.is_file()}
+    parts = [f"{name} {version}" for name, version in versions().items()]
+    return _hash([*parts, *sorted(_contents(files))])
+
+
+def _computes(path: Path) -> bool:
+    return path.parts[0] not in ("nodes", "demo", "report", "cli.py")
+
+
+def _needed(module: str) -> set[Path]:
+    """Files of a module and of all modules of the report that it needs, directly or not."""
+    files, waiting, seen = set(), [module], set()
+    while waiting:
+        name = waiting.pop()
+        if name in seen:
+            continue
+        seen.add(name)
+        file = _file(name)
+        if file is not None:
+            files.add(file)
+            waiting += _mentioned(file.read_bytes(), name != _REGISTRY)
+    return files
+
+
+def _file(module: str) -> Path | None:
+    try:
+        spec = importlib.util.find_spec(module)
+    except ModuleNotFoundError:  # a text that only looks like the name of a module
+        return None
+    return Path(spec.origin) if spec is not None and spec.origin is not None else None
+
+
+@cache
+def _mentioned(source: bytes, with_texts: bool) -> tuple[str, ...]:
+    """Modules of the report that a source imports, or names in a text to load them later."""
+    found: list[str] = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and with_texts:
+            found.append(node.value)
+        found += _names(node)
+    return tuple(name for name in found if _MODULE.fullmatch(name))
+
+
+def _names(node: ast.AST) -> list[str]:
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom):
+        module = str(node.module)
+        within = [f"{module}.{alias.name}" for alias in node.names]
+        return within if _is_package(module) else [module]
+    return []
+
+
+def _is_package(module: str) -> bool:
+    """Whether this is a folder of the report."""
+    if module != _REPORT and not module.startswith(f"{_REPORT}."):
+        return False
+    spec = importlib.util.find_spec(module)
+    return spec is not None and spec.submodule_search_locations is not None
+
+
+def _hash(lines: Iterable[str]) -> str:
+    return hashlib.sha256("\n".join(lines).encode()).hexdigest()
+
+
+def _contents(files: Iterable[Path]) -> Iterator[str]:
+    for path in files:
+        yield f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}"
+
+
 def _differences(kind: str, before: _Basis, now: _Basis) -> Iterator[str]:
     if now.program != before.program:
         yield f"the sources of {kind}"
     for name in sorted({*before.files, *now.files}):
         if before.files.get(name) != now.files.get(name):
             yield name
+
+
+@cache
+def program(module: str) -> str:
+    """The first result of `program_now`."""
+    return program_now(module)
+
+
+def versions(names: Iterable[str] = VERSIONS) -> dict[str, str]:
+    """Versions of those packages that are installed."""
+    found = {"python": platform.python_version()}
+    for name in names:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    return found
+
+
+def named_files(value: Any) -> dict[str, str]:
+    """Files that a spec names, and that scenes among them name, with hashes of their content."""
+    found: dict[str, str] = {}
+    for text in _strings(value):
+        _add(found, Path(), text)
+    return found
+
+
+def _strings(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, Mapping):
+        for entry in value.values():
+            yield from _strings(entry)
+    elif isinstance(value, list | tuple):
+        for entry in value:
+            yield from _strings(entry)
+
+
+def _add(found: dict[str, str], folder: Path, text: str) -> None:
+    if not text or len(text) > 1000 or "\n" in text or "\0" in text:
+        return
+    try:
+        path = find_file(folder, text, "report")
+        if path.is_file() and str(path) not in found:
+            found[str(path)], named = _read(path)
+            for entry in named:
+                _add(found, path.parent, entry)
+    except (SceneError, OSError):  # a text that is no file
+        return
+
+
+def _read(path: Path) -> tuple[str, tuple[str, ...]]:
+    """Hash of a file, and the texts in it where it is YAML."""
+    content = path.read_bytes()
+    is_yaml = path.suffix in (".yaml", ".yml")
+    return hashlib.sha256(content).hexdigest(), _texts(content) if is_yaml else ()
+
+
+@cache
+def _texts(content: bytes) -> tuple[str, ...]:
+    with suppress(yaml.YAMLError):
+        return tuple(_strings(yaml.safe_load(content)))
+    return ()

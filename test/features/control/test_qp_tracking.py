@@ -3,14 +3,14 @@
 import numpy as np
 import pinocchio as pin
 import pytest
-
-from mbd_ros.applications.report.bench.controllers import (
+from controllers import (
     MECHANISMS,
     RATES,
     mechanism,
     situations,
     with_and_without_limits,
 )
+
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.robot import Joint

@@ -1,5 +1,7 @@
 """The chain of a laboratory on a simulated swing, beside what the simulation knows."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import cached_property
 from typing import Any
@@ -21,10 +23,6 @@ from mbd_ros.applications.demo.walking.task import (
 from mbd_ros.core.state import Array, State
 from mbd_ros.features.muscles.task import muscles_task
 from mbd_ros.files.table import MAIN, Result
-
-# ---- numbers ----------------------------------------------------------------------------------
-# The chain of a laboratory on a simulated swing, beside what the simulation knows.
-
 
 CUTOFF = 10.0  # Hz
 RESERVE = 1.0  # N·m, optimal effort on every coordinate
@@ -199,10 +197,6 @@ def _expected_rms() -> float:
 def _at_most(what: str, values: Array, bound: float) -> Check:
     largest = float(np.abs(values).max())
     return Check(f"{what} <= {bound:g}", largest <= bound, f"{largest:.3g}")
-
-
-# ---- tables -----------------------------------------------------------------------------------
-# Tables of the swing.
 
 
 def tables(numbers: WalkingNumbers) -> list[Table]:

@@ -1,5 +1,7 @@
 """Contact problems with known solutions."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
@@ -9,13 +11,54 @@ from scipy.special import lambertw
 
 from mbd_ros.core.state import Array
 
-# ---- problem ----------------------------------------------------------------------------------
-# What a contact problem is, told without the words of any package.
-
-
 GROUND = "ground"
 CORNERS = ((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0))
 _ZERO = (0.0, 0.0, 0.0)
+GRAVITY = 9.81  # m/s^2
+_RESTS = 1.0e-12  # m/s
+_DOWN = (0.0, 0.0, -GRAVITY)
+_INCLINES: Mapping[str, tuple[float, float, float]] = {  # degrees, mu, first speed uphill
+    "incline_stick": (15.0, 0.3, 0.0),
+    "incline_slip": (30.0, 0.3, 0.0),
+    "incline_up_stick": (20.0, 0.5, 3.0),
+    "incline_up_back": (30.0, 0.3, 3.0),
+    "incline_down_stick": (15.0, 0.3, -0.5),
+}
+_QUICK = ("incline_up_stick", "stuck_box")
+_BOX = (0.2, 0.2, 0.1)  # m
+_HALVINGS = 60
+
+
+class Problem(NamedTuple):
+    """What is simulated, and what is true.
+
+    Attributes:
+        name: Letters, digits and underscores.
+        gravity: [m/s^2], shape (3,).
+        solids: From the lowest up.
+        pairs: Upper and lower solid, or `GROUND`: the half space z <= 0.
+        mu: Coefficient of friction of every pair.
+        restitution: Of every pair.
+        times: Samples [s].
+        error: Largest error of a run, in `unit`.
+        unit: Of the error.
+        asked: Error that this package must reach, in `unit`.
+        is_smooth: Whether nothing but smooth gaps occurs, so that events can be exact.
+        has_forces: Whether the error is one of forces.
+    """
+
+    name: str
+    gravity: tuple[float, float, float]
+    solids: tuple[Solid, ...]
+    pairs: tuple[tuple[str, str], ...]
+    mu: float
+    restitution: float
+    times: tuple[float, ...]
+    error: Callable[[Trace], float]
+    unit: str
+    asked: float
+    is_smooth: bool = True
+    has_forces: bool = False
 
 
 class Solid(NamedTuple):
@@ -81,51 +124,29 @@ class Trace(NamedTuple):
     forces: Array
 
 
-class Problem(NamedTuple):
-    """What is simulated, and what is true.
-
-    Attributes:
-        name: Letters, digits and underscores.
-        gravity: [m/s^2], shape (3,).
-        solids: From the lowest up.
-        pairs: Upper and lower solid, or `GROUND`: the half space z <= 0.
-        mu: Coefficient of friction of every pair.
-        restitution: Of every pair.
-        times: Samples [s].
-        error: Largest error of a run, in `unit`.
-        unit: Of the error.
-        asked: Error that this package must reach, in `unit`.
-        is_smooth: Whether nothing but smooth gaps occurs, so that events can be exact.
-        has_forces: Whether the error is one of forces.
-    """
-
-    name: str
-    gravity: tuple[float, float, float]
-    solids: tuple[Solid, ...]
-    pairs: tuple[tuple[str, str], ...]
-    mu: float
-    restitution: float
-    times: tuple[float, ...]
-    error: Callable[[Trace], float]
-    unit: str
-    asked: float
-    is_smooth: bool = True
-    has_forces: bool = False
+def problems(quick: bool) -> list[Problem]:
+    """All, or two of them."""
+    every = [
+        *(_incline(name, *case) for name, case in _INCLINES.items()),
+        *(_curve(), _rolling("sphere", 0.0), _rolling("sphere_backspin", -60.0)),
+        *(_bounce(), stuck(), dropped(), _stack(), _table()),
+    ]
+    return [p for p in every if p.name in _QUICK] if quick else every
 
 
-def penetration(problem: Problem, run: Trace) -> float:
-    """Depth of the lowest solid in the ground at the end [m]."""
-    lowest = problem.solids[0]
-    rest = lowest.size[0] if lowest.shape == "sphere" else 0.5 * lowest.size[2]
-    return max(0.0, rest - float(run.x[-1, 0, 2]))
+def _incline(name: str, degrees: float, mu: float, speed: float) -> Problem:
+    times = _samples(3.0, 15)
+    known = np.array([incline(t, degrees, mu, speed)[0] for t in times])
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.x[:, 0, 0] - known).max())
+
+    block = _block((speed, 0.0, 0.0))
+    return _problem(name, block, mu, times, gravity=_tilted(degrees), error=error)
 
 
-# ---- closed forms -----------------------------------------------------------------------------
-# Motion and forces of contact problems, in closed form.
-
-
-GRAVITY = 9.81  # m/s^2
-_RESTS = 1.0e-12  # m/s
+def _samples(span: float, count: int) -> tuple[float, ...]:
+    return tuple(round(span * (k + 1) / count, 9) for k in range(count))
 
 
 def incline(t: float, degrees: float, mu: float, speed: float) -> tuple[float, float]:
@@ -154,6 +175,39 @@ def incline(t: float, degrees: float, mu: float, speed: float) -> tuple[float, f
     return way + 0.5 * downhill * (t - end) ** 2, downhill * (t - end)
 
 
+def _block(v: Sequence[float] = (0.0, 0.0, 0.0), height: float = 0.0) -> Solid:
+    x, y, z = v
+    return Solid("box", 2.0, "box", _BOX, (0.0, 0.0, 0.5 * _BOX[2] + height), (x, y, z))
+
+
+def _problem(name: str, solid: Solid, mu: float, times: Sequence[float], **others: Any) -> Problem:
+    """One solid on the ground."""
+    given = {"gravity": _DOWN, "restitution": 0.0, "unit": "m", "asked": 1e-10, **others}
+    pairs = ((solid.name, GROUND),)
+    return Problem(name=name, solids=(solid,), pairs=pairs, mu=mu, times=tuple(times), **given)
+
+
+def _tilted(degrees: float) -> tuple[float, float, float]:
+    """Gravity seen from an incline whose x points uphill."""
+    angle = np.deg2rad(degrees)
+    return (-GRAVITY * float(np.sin(angle)), 0.0, -GRAVITY * float(np.cos(angle)))
+
+
+def _curve() -> Problem:
+    """Friction is isotropic: a block that slides around a bend."""
+    times, degrees, speed = _samples(2.0, 10), 30.0, 2.0
+    known = np.array([bend(t, degrees, speed) for t in times])
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.x[:, 0, :2] - known).max())
+
+    _, _, down = _tilted(degrees)
+    gravity = (0.0, -_tilted(degrees)[0], down)
+    mu = float(np.tan(np.deg2rad(degrees)))
+    block, more = _block((speed, 0.0, 0.0)), {"gravity": gravity, "asked": 1e-8}
+    return _problem("bend", block, mu, times, error=error, **more)
+
+
 def bend(t: float, degrees: float, speed: float) -> tuple[float, float]:
     """A block that starts sideways on an incline whose mu is the tangent of its angle.
 
@@ -174,6 +228,17 @@ def bend(t: float, degrees: float, speed: float) -> tuple[float, float]:
     return way * (4.0 / 3.0 - u - u**3 / 3.0), 0.5 * way * (-math.log(u) - (1.0 - u**4) / 4.0)
 
 
+def _rolling(name: str, spin: float) -> Problem:
+    times, radius, mu, speed = _samples(3.0, 15), 0.1, 0.2, 5.0
+    known = np.array([rolling(t, speed, spin, mu, radius) for t in times])
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.x[:, 0, 0] - known).max())
+
+    ball = Solid("ball", 1.0, "sphere", (radius,), (0.0, 0.0, radius), (speed, 0.0, 0.0))
+    return _problem(name, ball._replace(spin=(0.0, spin, 0.0)), mu, times, error=error)
+
+
 def rolling(t: float, speed: float, spin: float, mu: float, radius: float) -> float:
     """Way of a homogeneous sphere that slides until it rolls [m].
 
@@ -189,6 +254,17 @@ def rolling(t: float, speed: float, spin: float, mu: float, radius: float) -> fl
     slides = min(t, abs(2.0 * slip / (7.0 * mu * GRAVITY)))
     way = speed * slides - 0.5 * braking * slides**2
     return way + (speed - braking * slides) * (t - slides)
+
+
+def _bounce() -> Problem:
+    times, radius, e = _samples(5.0, 25), 0.1, 0.8
+    known = np.array([bounce(t, 1.0, e) for t in times])
+
+    def error(run: Trace) -> float:
+        return float(np.abs(run.x[:, 0, 2] - radius - known).max())
+
+    ball = Solid("ball", 1.0, "sphere", (radius,), (0.0, 0.0, radius + 1.0))
+    return _problem("bounce", ball, 0.0, times, restitution=e, error=error, asked=1e-9)
 
 
 def bounce(t: float, height: float, e: float) -> float:
@@ -208,121 +284,6 @@ def bounce(t: float, height: float, e: float) -> float:
     if speed < _RESTS:
         return 0.0
     return speed * (t - begin) - 0.5 * GRAVITY * (t - begin) ** 2
-
-
-def legs(table: float, load: float, place: Sequence[float]) -> Array:
-    """Forces of four legs at the corners (1, 1), (-1, 1), (-1, -1), (1, -1), those of least norm.
-
-    Args:
-        table: Mass of the table, centred [kg].
-        load: Mass on it [kg].
-        place: Of the load, in half lengths of the table, shape (2,).
-
-    Returns:
-        [N], shape (4,).
-    """
-    x, y = place
-    signs = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
-    shares: Array = 0.25 * GRAVITY * (table + load * (1.0 + signs.dot((x, y))))
-    return shares
-
-
-# ---- problems ---------------------------------------------------------------------------------
-# Contact problems with known solutions.
-
-
-_DOWN = (0.0, 0.0, -GRAVITY)
-
-
-def problems(quick: bool) -> list[Problem]:
-    """All, or two of them."""
-    every = [
-        *(_incline(name, *case) for name, case in _INCLINES.items()),
-        *(_curve(), _rolling("sphere", 0.0), _rolling("sphere_backspin", -60.0)),
-        *(_bounce(), stuck(), dropped(), _stack(), _table()),
-    ]
-    return [p for p in every if p.name in _QUICK] if quick else every
-
-
-_INCLINES: Mapping[str, tuple[float, float, float]] = {  # degrees, mu, first speed uphill
-    "incline_stick": (15.0, 0.3, 0.0),
-    "incline_slip": (30.0, 0.3, 0.0),
-    "incline_up_stick": (20.0, 0.5, 3.0),
-    "incline_up_back": (30.0, 0.3, 3.0),
-    "incline_down_stick": (15.0, 0.3, -0.5),
-}
-_QUICK = ("incline_up_stick", "stuck_box")
-_BOX = (0.2, 0.2, 0.1)  # m
-
-
-def _block(v: Sequence[float] = (0.0, 0.0, 0.0), height: float = 0.0) -> Solid:
-    x, y, z = v
-    return Solid("box", 2.0, "box", _BOX, (0.0, 0.0, 0.5 * _BOX[2] + height), (x, y, z))
-
-
-def _samples(span: float, count: int) -> tuple[float, ...]:
-    return tuple(round(span * (k + 1) / count, 9) for k in range(count))
-
-
-def _tilted(degrees: float) -> tuple[float, float, float]:
-    """Gravity seen from an incline whose x points uphill."""
-    angle = np.deg2rad(degrees)
-    return (-GRAVITY * float(np.sin(angle)), 0.0, -GRAVITY * float(np.cos(angle)))
-
-
-def _problem(name: str, solid: Solid, mu: float, times: Sequence[float], **others: Any) -> Problem:
-    """One solid on the ground."""
-    given = {"gravity": _DOWN, "restitution": 0.0, "unit": "m", "asked": 1e-10, **others}
-    pairs = ((solid.name, GROUND),)
-    return Problem(name=name, solids=(solid,), pairs=pairs, mu=mu, times=tuple(times), **given)
-
-
-def _incline(name: str, degrees: float, mu: float, speed: float) -> Problem:
-    times = _samples(3.0, 15)
-    known = np.array([incline(t, degrees, mu, speed)[0] for t in times])
-
-    def error(run: Trace) -> float:
-        return float(np.abs(run.x[:, 0, 0] - known).max())
-
-    block = _block((speed, 0.0, 0.0))
-    return _problem(name, block, mu, times, gravity=_tilted(degrees), error=error)
-
-
-def _curve() -> Problem:
-    """Friction is isotropic: a block that slides around a bend."""
-    times, degrees, speed = _samples(2.0, 10), 30.0, 2.0
-    known = np.array([bend(t, degrees, speed) for t in times])
-
-    def error(run: Trace) -> float:
-        return float(np.abs(run.x[:, 0, :2] - known).max())
-
-    _, _, down = _tilted(degrees)
-    gravity = (0.0, -_tilted(degrees)[0], down)
-    mu = float(np.tan(np.deg2rad(degrees)))
-    block, more = _block((speed, 0.0, 0.0)), {"gravity": gravity, "asked": 1e-8}
-    return _problem("bend", block, mu, times, error=error, **more)
-
-
-def _rolling(name: str, spin: float) -> Problem:
-    times, radius, mu, speed = _samples(3.0, 15), 0.1, 0.2, 5.0
-    known = np.array([rolling(t, speed, spin, mu, radius) for t in times])
-
-    def error(run: Trace) -> float:
-        return float(np.abs(run.x[:, 0, 0] - known).max())
-
-    ball = Solid("ball", 1.0, "sphere", (radius,), (0.0, 0.0, radius), (speed, 0.0, 0.0))
-    return _problem(name, ball._replace(spin=(0.0, spin, 0.0)), mu, times, error=error)
-
-
-def _bounce() -> Problem:
-    times, radius, e = _samples(5.0, 25), 0.1, 0.8
-    known = np.array([bounce(t, 1.0, e) for t in times])
-
-    def error(run: Trace) -> float:
-        return float(np.abs(run.x[:, 0, 2] - radius - known).max())
-
-    ball = Solid("ball", 1.0, "sphere", (radius,), (0.0, 0.0, radius + 1.0))
-    return _problem("bounce", ball, 0.0, times, restitution=e, error=error, asked=1e-9)
 
 
 def stuck() -> Problem:
@@ -381,11 +342,28 @@ def _table() -> Problem:
     return _problem("table", feet, 0.5, times, error=error, **more)
 
 
-# ---- soft bounce ------------------------------------------------------------------------------
-# Restitution of a linear spring and damper that only pushes.
+def legs(table: float, load: float, place: Sequence[float]) -> Array:
+    """Forces of four legs at the corners (1, 1), (-1, 1), (-1, -1), (1, -1), those of least norm.
+
+    Args:
+        table: Mass of the table, centred [kg].
+        load: Mass on it [kg].
+        place: Of the load, in half lengths of the table, shape (2,).
+
+    Returns:
+        [N], shape (4,).
+    """
+    x, y = place
+    signs = np.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
+    shares: Array = 0.25 * GRAVITY * (table + load * (1.0 + signs.dot((x, y))))
+    return shares
 
 
-_HALVINGS = 60
+def penetration(problem: Problem, run: Trace) -> float:
+    """Depth of the lowest solid in the ground at the end [m]."""
+    lowest = problem.solids[0]
+    rest = lowest.size[0] if lowest.shape == "sphere" else 0.5 * lowest.size[2]
+    return max(0.0, rest - float(run.x[-1, 0, 2]))
 
 
 def damping_ratio(restitution: float) -> float:

@@ -1,5 +1,7 @@
 """Translation of a scene for other packages."""
 
+from __future__ import annotations
+
 import inspect
 import math
 from collections.abc import Iterator, Mapping, Sequence
@@ -17,8 +19,93 @@ from mbd_ros.scene.reading.coupling_entries import coupling_kinds
 from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.schema.sections import SECTIONS, keys
 
-# ---- task -------------------------------------------------------------------------------------
-# A scene for other packages: bodies, joints, loops and springs, nothing else.
+# Constraints of a scene as pairs of frames, as other packages take them.
+_CLOSED = 1.0e-8  # m: directions that no row holds and that stay closed by themselves
+_LEVER = 0.1  # m, between the two points that make an axis
+_FORCES = ("joint_friction", "joint_spring", "joint_torque", "point_spring")
+
+
+def task_of(ground: Ground, states: Sequence[State] = ()) -> Task:
+    """The task of a scene for other packages.
+
+    Args:
+        ground: The scene.
+        states: States of all joints on its motion. They show whether loops that are closed along
+            some directions stay closed along the others.
+
+    Raises:
+        SceneError: It has parts that they cannot express, named.
+    """
+    scene = ground.scene
+    if others := [base.name for base in scene.robot.bases if base.joint > 1]:
+        raise SceneError(f"bodies: peers take one free body, the first, not {', '.join(others)}")
+    simulation = build_simulation(scene)
+    x = simulation.system.expand(simulation.start(scene.initial))
+    rows = Rows(scene, [x, *states])
+    for entry in ground.constraints:
+        rows.add(entry)
+    return Task(
+        np.array(scene.robot.model.gravity.linear),
+        (None, *_bodies(scene, ground.forces)),
+        scene.robot.floating,
+        x.q,
+        x.v,
+        (*_couplings(scene), *rows.follows),
+        tuple(rows.points),
+        tuple(rows.welds),
+        tuple(rows.bars),
+        tuple(_springs(scene, ground.forces)),
+    )
+
+
+class Ground(NamedTuple):
+    """The common ground of all packages.
+
+    Attributes:
+        scene: The scene without the loads that no peer has.
+        constraints: Rest of that section.
+        forces: Rest of that section.
+        left: Parts that were left out, such as `forces[1] (switching_force)`.
+    """
+
+    scene: Scene
+    constraints: tuple[Entry, ...]
+    forces: tuple[Entry, ...]
+    left: tuple[str, ...]
+
+
+class Entry(NamedTuple):
+    """A part of a scene that peers are told.
+
+    Attributes:
+        kind: Its `type`.
+        words: All its keys, those that the scene leaves out with their defaults.
+        where: File and key.
+    """
+
+    kind: str
+    words: Mapping[str, Any]
+    where: str
+
+
+def _bodies(scene: Scene, forces: Sequence[Entry]) -> Iterator[Body]:
+    robot = scene.robot
+    model, data = robot.model, robot.model.createData()
+    pin.forwardKinematics(model, data, robot.neutral(), np.zeros(model.nv))
+    names = {joint.v: joint.name for joint in robot.joints}
+    for i in range(1, model.njoints):
+        joint, place, inertia = model.joints[i], model.jointPlacements[i], model.inertias[i]
+        common = int(model.parents[i]), place
+        if joint.nv > 1:
+            yield Body("base", *common, np.zeros(3), False, inertia)
+            continue
+        subspace = np.asarray(data.joints[i].S).reshape(6)
+        slides = bool(subspace[:3].any())
+        axis = subspace[:3] if slides else subspace[3:]
+        name = names[joint.idx_v]
+        loads = _joint_loads(name, forces)
+        armature = float(model.armature[joint.idx_v])
+        yield Body(name, *common, axis, slides, inertia, armature, *loads)
 
 
 class Body(NamedTuple):
@@ -51,11 +138,34 @@ class Body(NamedTuple):
     torque: float = 0.0
 
 
-class End(NamedTuple):
-    """A frame that travels with a body: index of the body, and its place there as SE3."""
+def _joint_loads(name: str, forces: Sequence[Entry]) -> tuple[float, float, float, float]:
+    """Stiffness, rest position, damping and torque of all that acts in a joint.
 
-    body: int
-    place: Any
+    Springs add up to one at the position at which they are in balance.
+    """
+    stiffness = moment = damping = torque = 0.0
+    for _, words, _ in (entry for entry in forces if entry.words.get("joint") == name):
+        k = float(words.get("stiffness", 0.0))
+        stiffness, moment = stiffness + k, moment + k * float(words.get("rest", 0.0))
+        damping += float(words.get("damping", 0.0)) + float(words.get("viscous", 0.0))
+        torque += float(words.get("torque", 0.0))
+    return stiffness, moment / stiffness if stiffness else 0.0, damping, torque
+
+
+def _couplings(scene: Scene) -> Iterator[Follow]:
+    given = scene.entries.get("couplings", {})
+    model = scene.robot.model
+    bodies = {int(joint.idx_v): i for i, joint in enumerate(model.joints) if i}
+    links = zip(scene.couplings.dependent, scene.couplings.pairs, strict=True)
+    for name, link in links:
+        if isinstance(link.function, Linear):
+            coefficients: tuple[float, ...] = (link.function.offset, link.function.factor)
+        elif "polynomial" in given[name]:
+            coefficients = tuple(float(c) for c in given[name]["polynomial"])
+        else:
+            kind = coupling_kinds(scene)[name]
+            raise SceneError(f"couplings.{name}: peers take polynomials, not {kind}")
+        yield Follow(bodies[link.child_v], bodies[link.parent_v], coefficients)
 
 
 class Follow(NamedTuple):
@@ -66,6 +176,13 @@ class Follow(NamedTuple):
     coefficients: tuple[float, ...]
 
 
+def _springs(scene: Scene, forces: Sequence[Entry]) -> Iterator[Spring]:
+    for _, words, _ in (entry for entry in forces if entry.kind == "point_spring"):
+        ends = (end_of(scene, words[f"frame_{c}"], words[f"point_{c}"]) for c in "ab")
+        numbers = (float(words[key]) for key in ("stiffness", "damping", "length"))
+        yield Spring(*ends, *numbers)
+
+
 class Spring(NamedTuple):
     """Spring and damper between two points."""
 
@@ -74,6 +191,23 @@ class Spring(NamedTuple):
     stiffness: float
     damping: float
     length: float
+
+
+class End(NamedTuple):
+    """A frame that travels with a body: index of the body, and its place there as SE3."""
+
+    body: int
+    place: Any
+
+
+def end_of(
+    scene: Scene, frame: str, point: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)
+) -> End:
+    """A point of a link, with axes turned by roll, pitch and yaw [m, rad]."""
+    link = scene.robot.model.frames[scene.robot.frame(frame)]
+    rotation = pin.rpy.rpyToMatrix(np.array(rpy, dtype=np.float64))
+    at = pin.SE3(rotation, np.array(point, dtype=np.float64))
+    return End(int(link.parentJoint), link.placement * at)
 
 
 class Task(NamedTuple):
@@ -123,40 +257,6 @@ class Task(NamedTuple):
     def joints(self) -> tuple[Body, ...]:
         """The bodies with one coordinate."""
         return self.moving[int(self.is_floating) :]
-
-
-# ---- translation ------------------------------------------------------------------------------
-# Translation of a scene for other packages.
-
-
-# Constraints of a scene as pairs of frames, as other packages take them.
-
-_CLOSED = 1.0e-8  # m: directions that no row holds and that stay closed by themselves
-_LEVER = 0.1  # m, between the two points that make an axis
-
-
-class Entry(NamedTuple):
-    """A part of a scene that peers are told.
-
-    Attributes:
-        kind: Its `type`.
-        words: All its keys, those that the scene leaves out with their defaults.
-        where: File and key.
-    """
-
-    kind: str
-    words: Mapping[str, Any]
-    where: str
-
-
-def end_of(
-    scene: Scene, frame: str, point: Sequence[float], rpy: Sequence[float] = (0.0, 0.0, 0.0)
-) -> End:
-    """A point of a link, with axes turned by roll, pitch and yaw [m, rad]."""
-    link = scene.robot.model.frames[scene.robot.frame(frame)]
-    rotation = pin.rpy.rpyToMatrix(np.array(rpy, dtype=np.float64))
-    at = pin.SE3(rotation, np.array(point, dtype=np.float64))
-    return End(int(link.parentJoint), link.placement * at)
 
 
 class Rows:
@@ -243,25 +343,6 @@ def _body_of(scene: Scene, joint: str) -> int:
     return int(scene.robot.model.getJointId(scene.robot.joint(joint).urdf_name))
 
 
-_FORCES = ("joint_friction", "joint_spring", "joint_torque", "point_spring")
-
-
-class Ground(NamedTuple):
-    """The common ground of all packages.
-
-    Attributes:
-        scene: The scene without the loads that no peer has.
-        constraints: Rest of that section.
-        forces: Rest of that section.
-        left: Parts that were left out, such as `forces[1] (switching_force)`.
-    """
-
-    scene: Scene
-    constraints: tuple[Entry, ...]
-    forces: tuple[Entry, ...]
-    left: tuple[str, ...]
-
-
 def common_ground(scene: Scene) -> Ground:
     """The scene without the loads that no peer has.
 
@@ -286,45 +367,6 @@ def common_ground(scene: Scene) -> Ground:
     return Ground(scene, entries["constraints"], entries["forces"], tuple(left))
 
 
-def task_of(ground: Ground, states: Sequence[State] = ()) -> Task:
-    """The task of a scene for other packages.
-
-    Args:
-        ground: The scene.
-        states: States of all joints on its motion. They show whether loops that are closed along
-            some directions stay closed along the others.
-
-    Raises:
-        SceneError: It has parts that they cannot express, named.
-    """
-    scene = ground.scene
-    if others := [base.name for base in scene.robot.bases if base.joint > 1]:
-        raise SceneError(f"bodies: peers take one free body, the first, not {', '.join(others)}")
-    simulation = build_simulation(scene)
-    x = simulation.system.expand(simulation.start(scene.initial))
-    rows = Rows(scene, [x, *states])
-    for entry in ground.constraints:
-        rows.add(entry)
-    return Task(
-        np.array(scene.robot.model.gravity.linear),
-        (None, *_bodies(scene, ground.forces)),
-        scene.robot.floating,
-        x.q,
-        x.v,
-        (*_couplings(scene), *rows.follows),
-        tuple(rows.points),
-        tuple(rows.welds),
-        tuple(rows.bars),
-        tuple(_springs(scene, ground.forces)),
-    )
-
-
-def _is_told(part: Any, entry: Entry) -> bool:
-    if entry.kind in _FORCES:
-        return entry.words.get("coulomb", 0.0) == 0.0
-    return isinstance(part, Constraint) and part.law.kind in (Kind.BILATERAL, Kind.DRIVE)
-
-
 def _entry(part: Any, given: Mapping[str, Any], where: str) -> Entry:
     accepted = inspect.signature(type(part)).parameters.values()
     defaults = {p.name: p.default for p in accepted if p.default is not inspect.Parameter.empty}
@@ -332,58 +374,7 @@ def _entry(part: Any, given: Mapping[str, Any], where: str) -> Entry:
     return Entry(kind if isinstance(kind, str) else kind.__name__, {**defaults, **given}, where)
 
 
-def _bodies(scene: Scene, forces: Sequence[Entry]) -> Iterator[Body]:
-    robot = scene.robot
-    model, data = robot.model, robot.model.createData()
-    pin.forwardKinematics(model, data, robot.neutral(), np.zeros(model.nv))
-    names = {joint.v: joint.name for joint in robot.joints}
-    for i in range(1, model.njoints):
-        joint, place, inertia = model.joints[i], model.jointPlacements[i], model.inertias[i]
-        common = int(model.parents[i]), place
-        if joint.nv > 1:
-            yield Body("base", *common, np.zeros(3), False, inertia)
-            continue
-        subspace = np.asarray(data.joints[i].S).reshape(6)
-        slides = bool(subspace[:3].any())
-        axis = subspace[:3] if slides else subspace[3:]
-        name = names[joint.idx_v]
-        loads = _joint_loads(name, forces)
-        armature = float(model.armature[joint.idx_v])
-        yield Body(name, *common, axis, slides, inertia, armature, *loads)
-
-
-def _joint_loads(name: str, forces: Sequence[Entry]) -> tuple[float, float, float, float]:
-    """Stiffness, rest position, damping and torque of all that acts in a joint.
-
-    Springs add up to one at the position at which they are in balance.
-    """
-    stiffness = moment = damping = torque = 0.0
-    for _, words, _ in (entry for entry in forces if entry.words.get("joint") == name):
-        k = float(words.get("stiffness", 0.0))
-        stiffness, moment = stiffness + k, moment + k * float(words.get("rest", 0.0))
-        damping += float(words.get("damping", 0.0)) + float(words.get("viscous", 0.0))
-        torque += float(words.get("torque", 0.0))
-    return stiffness, moment / stiffness if stiffness else 0.0, damping, torque
-
-
-def _couplings(scene: Scene) -> Iterator[Follow]:
-    given = scene.entries.get("couplings", {})
-    model = scene.robot.model
-    bodies = {int(joint.idx_v): i for i, joint in enumerate(model.joints) if i}
-    links = zip(scene.couplings.dependent, scene.couplings.pairs, strict=True)
-    for name, link in links:
-        if isinstance(link.function, Linear):
-            coefficients: tuple[float, ...] = (link.function.offset, link.function.factor)
-        elif "polynomial" in given[name]:
-            coefficients = tuple(float(c) for c in given[name]["polynomial"])
-        else:
-            kind = coupling_kinds(scene)[name]
-            raise SceneError(f"couplings.{name}: peers take polynomials, not {kind}")
-        yield Follow(bodies[link.child_v], bodies[link.parent_v], coefficients)
-
-
-def _springs(scene: Scene, forces: Sequence[Entry]) -> Iterator[Spring]:
-    for _, words, _ in (entry for entry in forces if entry.kind == "point_spring"):
-        ends = (end_of(scene, words[f"frame_{c}"], words[f"point_{c}"]) for c in "ab")
-        numbers = (float(words[key]) for key in ("stiffness", "damping", "length"))
-        yield Spring(*ends, *numbers)
+def _is_told(part: Any, entry: Entry) -> bool:
+    if entry.kind in _FORCES:
+        return entry.words.get("coulomb", 0.0) == 0.0
+    return isinstance(part, Constraint) and part.law.kind in (Kind.BILATERAL, Kind.DRIVE)

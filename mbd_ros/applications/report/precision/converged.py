@@ -1,5 +1,7 @@
 """Motion of a scene to rounding, and how far a second method agrees."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from functools import cache
 from typing import Any, NamedTuple
@@ -21,10 +23,6 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.simulation import build_simulation
 
-# ---- choices ----------------------------------------------------------------------------------
-# Choices for a scene: formulation, stabilization, integrator, step.
-
-
 BAUMGARTE = {"type": "baumgarte", "time_constant": 0.02}
 STABILIZATIONS: tuple[Mapping[str, Any], ...] = (
     {"type": "projection"},
@@ -34,6 +32,151 @@ STABILIZATIONS: tuple[Mapping[str, Any], ...] = (
 WANTED = (1.0e-3, 1.0e-6, 1.0e-9)  # errors for which a choice is offered [rad or m]
 COMPILED = "compiled"  # the plain tier in native code
 KEEPERS = ("rattle", "shake", "generalized_alpha")  # keep rows themselves
+BY_NAME = {problem.name: problem for problem in PROBLEMS}
+_FINE = {"type": "dop853", "tolerance": 1e-13}
+_SECOND: tuple[tuple[Mapping[str, Any], float], ...] = (  # integrator, steps in those of the scene
+    ({"type": "gauss_legendre", "stages": 3, "tolerance": 1e-13}, 0.5),
+    ({"type": "dopri5", "tolerance": 1e-12}, 1.0),
+    ({"type": "adams", "order": 8}, 0.125),
+)
+_SPECIAL: Mapping[str, tuple[tuple[Mapping[str, Any], float], ...]] = {
+    # Every toggle multiplies the rounding error of a stage that falls next to it: few stages
+    "a02_four_bars_40": (({"type": "dop853"}, 1.0), ({"type": "dopri5"}, 0.5)),
+    "s01_parabola": (({"type": "filippov", "tolerance": 1e-13}, 1.0), ({"type": "filippov"}, 0.2)),
+}
+_GOOD = 1.0e-10  # agreement that needs no third method
+_ENOUGH = 1.0e-3  # of a step: two times that are meant to be the same
+_STEPS = (1.0, 0.5, 0.25, 0.125)  # of the scene
+_NEAR = 1.0e-8  # [rad or m]: agreement that proves the point by itself
+_SETTLED = 2.0  # distance in last changes; a method of order 2 that approaches has 1/3
+
+
+@cache
+def known(path: str, times: tuple[float, ...]) -> Known:
+    """Converged motion of a scene at some times.
+
+    Args:
+        path: Scene file.
+        times: Samples [s], increasing, > 0.
+
+    Raises:
+        MbdError: No method gets there.
+    """
+    return motion_of(load_scene(path), times)
+
+
+class Known(NamedTuple):
+    """A converged motion.
+
+    Attributes:
+        times: Samples [s].
+        states: States of all joints there.
+        multipliers: Those of `System.multiplier_rows` in the tier `plain`, one row a sample.
+        energies: [J].
+        method: Method that computed it.
+        check: Second method that computed it; empty where none succeeded.
+        agreement: Largest difference in position between the two [rad or m]; inf without.
+        published: Error against the published reference, in its measure; None without one.
+        is_wrong: Whether that error is beyond what the reference demands of precise codes.
+    """
+
+    times: tuple[float, ...]
+    states: tuple[State, ...]
+    multipliers: Array
+    energies: Array
+    method: str
+    check: str
+    agreement: float
+    published: float | None
+    is_wrong: bool
+
+
+def motion_of(scene: Scene, times: tuple[float, ...]) -> Known:
+    """Converged motion of a built scene, as `known`."""
+    special = None if scene.path is None else _SPECIAL.get(scene.path.stem)
+    methods = ((_FINE, 1.0), *_SECOND) if special is None else special
+    first = _choice(scene, *methods[0])
+    simulation, ys = trace(scene, first, times)
+    states = tuple(simulation.system.expand(y) for y in ys)
+    check, agreement = _second(scene, times, states, methods[1:])
+    published, is_wrong = _published(scene, states)
+    solved = [simulation.system.evaluate(x).lam for x in states]
+    return Known(
+        times,
+        states,
+        np.array(solved),
+        np.array([simulation.system.energy(y) for y in ys]),
+        f"{first.method}, {first.fineness}",
+        check,
+        agreement,
+        published,
+        is_wrong,
+    )
+
+
+def _choice(scene: Scene, integrator: Mapping[str, Any], steps: float) -> Choice:
+    stabilization = {"type": "projection"} if scene.system().rows else None
+    return Choice("plain", stabilization, integrator, steps * scene.dt)
+
+
+def trace(scene: Scene, choice: Choice, times: Sequence[float]) -> tuple[Simulation, list[State]]:
+    """States of the integrated coordinates at some times.
+
+    Raises:
+        MbdError: The run stopped.
+    """
+    simulation = choice.build(scene)
+    y, ys = simulation.start(scene.initial), []
+    for t in times:
+        y = simulation.advance(y, None, t)
+        if abs(y.t - t) > _ENOUGH * choice.dt:
+            raise SolveError(f"the run ends at {y.t:g} s instead of {t:g} s")
+        ys.append(y)
+    return simulation, ys
+
+
+def _second(
+    scene: Scene,
+    times: Sequence[float],
+    states: Sequence[State],
+    methods: Sequence[tuple[Mapping[str, Any], float]],
+) -> tuple[str, float]:
+    """The method that agrees best, and the largest difference."""
+    best = ("", float("inf"))
+    for integrator, steps in methods:
+        choice = _choice(scene, integrator, steps)
+        try:
+            simulation, ys = trace(scene, choice, times)
+        except MbdError:
+            continue
+        pairs = zip(ys, states, strict=True)
+        off = [distance(scene, simulation.system.expand(y), x) for y, x in pairs]
+        worst = float(np.max(off))  # nan stays nan
+        if worst < best[1]:
+            best = (f"{choice.method}, {choice.fineness}", worst)
+        if worst <= _GOOD:
+            break
+    return best
+
+
+def distance(scene: Scene, ours: State, theirs: State) -> float:
+    """Largest difference of two configurations of all joints [rad or m]."""
+    return float(np.abs(pin.difference(scene.robot.model, theirs.q, ours.q)).max())
+
+
+def _published(scene: Scene, states: Sequence[State]) -> tuple[float | None, bool]:
+    problem = problem_of(scene)
+    if problem is None:
+        return None, False
+    found = error(problem, scene.robot, states)
+    return found, not found <= reference(problem.reference).high
+
+
+def problem_of(scene: Scene) -> Problem | None:
+    """The published problem that a scene file of ours is; None for any other file."""
+    if scene.path is None or scene.path.parent.name != "benchmark":
+        return None
+    return BY_NAME.get(scene.path.stem)
 
 
 class Choice(NamedTuple):
@@ -75,21 +218,6 @@ class Choice(NamedTuple):
         )
 
 
-def of_record(record: Mapping[str, Any]) -> Choice:
-    """The choice that a result was made with."""
-    return Choice(*(record[key] for key in Choice._fields))
-
-
-def snippet(choice: Choice) -> str:
-    """Lines to be pasted into a scene file."""
-    lines = [f"integrator: {_entry(choice.integrator)}", f"dt: {_number(choice.dt)}"]
-    if choice.stabilization is not None:
-        lines.insert(0, f"stabilization: {_entry(choice.stabilization)}")
-    if choice.solver != "plain":
-        lines.insert(0, f"solver: {{type: {choice.solver}}}")
-    return "\n".join(lines)
-
-
 def formulations(scene: Scene) -> list[str]:
     """`plain` and the tiers that solve the scene differently."""
     seen, names = {_signature(scene, "plain")}, ["plain"]
@@ -104,199 +232,15 @@ def formulations(scene: Scene) -> list[str]:
     return names
 
 
-def compiles(scene: Scene, integrator: Mapping[str, Any]) -> bool:
-    """Whether `auto` takes compiled steps; not where extra or compiler are missing."""
-    simulation = build_simulation(scene, integrator=integrator, solver={"type": "auto"})
-    return simulation.how.startswith(COMPILED)
+def _signature(scene: Scene, solver: str) -> tuple[type, int, bool]:
+    system = scene.system(solver={"type": solver})
+    return system.tier, len(system.rows), system.bounded is not None
 
 
 def stabilizations(scene: Scene, solver: str, kind: str) -> Sequence[Mapping[str, Any] | None]:
     """Those that make a difference with a tier and an integrator, the usual one first."""
     has_rows = bool(scene.system(solver={"type": solver}).rows)
     return STABILIZATIONS if has_rows and kind not in KEEPERS else (None,)
-
-
-def _signature(scene: Scene, solver: str) -> tuple[type, int, bool]:
-    system = scene.system(solver={"type": solver})
-    return system.tier, len(system.rows), system.bounded is not None
-
-
-def _entry(entry: Mapping[str, Any]) -> str:
-    values = {k: _number(v) if isinstance(v, float) else str(v) for k, v in entry.items()}
-    return f"{{{', '.join(f'{k}: {v}' for k, v in values.items())}}}"
-
-
-def _number(value: float) -> str:
-    return f"{value:g}"
-
-
-# ---- converged --------------------------------------------------------------------------------
-# Motion of a scene to rounding, and how far a second method agrees.
-
-
-BY_NAME = {problem.name: problem for problem in PROBLEMS}
-_FINE = {"type": "dop853", "tolerance": 1e-13}
-_SECOND: tuple[tuple[Mapping[str, Any], float], ...] = (  # integrator, steps in those of the scene
-    ({"type": "gauss_legendre", "stages": 3, "tolerance": 1e-13}, 0.5),
-    ({"type": "dopri5", "tolerance": 1e-12}, 1.0),
-    ({"type": "adams", "order": 8}, 0.125),
-)
-_SPECIAL: Mapping[str, tuple[tuple[Mapping[str, Any], float], ...]] = {
-    # Every toggle multiplies the rounding error of a stage that falls next to it: few stages
-    "a02_four_bars_40": (({"type": "dop853"}, 1.0), ({"type": "dopri5"}, 0.5)),
-    "s01_parabola": (({"type": "filippov", "tolerance": 1e-13}, 1.0), ({"type": "filippov"}, 0.2)),
-}
-_GOOD = 1.0e-10  # agreement that needs no third method
-_ENOUGH = 1.0e-3  # of a step: two times that are meant to be the same
-
-
-class Known(NamedTuple):
-    """A converged motion.
-
-    Attributes:
-        times: Samples [s].
-        states: States of all joints there.
-        multipliers: Those of `System.multiplier_rows` in the tier `plain`, one row a sample.
-        energies: [J].
-        method: Method that computed it.
-        check: Second method that computed it; empty where none succeeded.
-        agreement: Largest difference in position between the two [rad or m]; inf without.
-        published: Error against the published reference, in its measure; None without one.
-        is_wrong: Whether that error is beyond what the reference demands of precise codes.
-    """
-
-    times: tuple[float, ...]
-    states: tuple[State, ...]
-    multipliers: Array
-    energies: Array
-    method: str
-    check: str
-    agreement: float
-    published: float | None
-    is_wrong: bool
-
-
-@cache
-def known(path: str, times: tuple[float, ...]) -> Known:
-    """Converged motion of a scene at some times.
-
-    Args:
-        path: Scene file.
-        times: Samples [s], increasing, > 0.
-
-    Raises:
-        MbdError: No method gets there.
-    """
-    return motion_of(load_scene(path), times)
-
-
-def motion_of(scene: Scene, times: tuple[float, ...]) -> Known:
-    """Converged motion of a built scene, as `known`."""
-    special = None if scene.path is None else _SPECIAL.get(scene.path.stem)
-    methods = ((_FINE, 1.0), *_SECOND) if special is None else special
-    first = _choice(scene, *methods[0])
-    simulation, ys = trace(scene, first, times)
-    states = tuple(simulation.system.expand(y) for y in ys)
-    check, agreement = _second(scene, times, states, methods[1:])
-    published, is_wrong = _published(scene, states)
-    solved = [simulation.system.evaluate(x).lam for x in states]
-    return Known(
-        times,
-        states,
-        np.array(solved),
-        np.array([simulation.system.energy(y) for y in ys]),
-        f"{first.method}, {first.fineness}",
-        check,
-        agreement,
-        published,
-        is_wrong,
-    )
-
-
-def trace(scene: Scene, choice: Choice, times: Sequence[float]) -> tuple[Simulation, list[State]]:
-    """States of the integrated coordinates at some times.
-
-    Raises:
-        MbdError: The run stopped.
-    """
-    simulation = choice.build(scene)
-    y, ys = simulation.start(scene.initial), []
-    for t in times:
-        y = simulation.advance(y, None, t)
-        if abs(y.t - t) > _ENOUGH * choice.dt:
-            raise SolveError(f"the run ends at {y.t:g} s instead of {t:g} s")
-        ys.append(y)
-    return simulation, ys
-
-
-def distance(scene: Scene, ours: State, theirs: State) -> float:
-    """Largest difference of two configurations of all joints [rad or m]."""
-    return float(np.abs(pin.difference(scene.robot.model, theirs.q, ours.q)).max())
-
-
-def problem_of(scene: Scene) -> Problem | None:
-    """The published problem that a scene file of ours is; None for any other file."""
-    if scene.path is None or scene.path.parent.name != "benchmark":
-        return None
-    return BY_NAME.get(scene.path.stem)
-
-
-def _choice(scene: Scene, integrator: Mapping[str, Any], steps: float) -> Choice:
-    stabilization = {"type": "projection"} if scene.system().rows else None
-    return Choice("plain", stabilization, integrator, steps * scene.dt)
-
-
-def _second(
-    scene: Scene,
-    times: Sequence[float],
-    states: Sequence[State],
-    methods: Sequence[tuple[Mapping[str, Any], float]],
-) -> tuple[str, float]:
-    """The method that agrees best, and the largest difference."""
-    best = ("", float("inf"))
-    for integrator, steps in methods:
-        choice = _choice(scene, integrator, steps)
-        try:
-            simulation, ys = trace(scene, choice, times)
-        except MbdError:
-            continue
-        pairs = zip(ys, states, strict=True)
-        off = [distance(scene, simulation.system.expand(y), x) for y, x in pairs]
-        worst = float(np.max(off))  # nan stays nan
-        if worst < best[1]:
-            best = (f"{choice.method}, {choice.fineness}", worst)
-        if worst <= _GOOD:
-            break
-    return best
-
-
-def _published(scene: Scene, states: Sequence[State]) -> tuple[float | None, bool]:
-    problem = problem_of(scene)
-    if problem is None:
-        return None, False
-    found = error(problem, scene.robot, states)
-    return found, not found <= reference(problem.reference).high
-
-
-# ---- rattle check -----------------------------------------------------------------------------
-# A check of converged motion by a method that never sees the drift of a constraint.
-
-
-_STEPS = (1.0, 0.5, 0.25, 0.125)  # of the scene
-_NEAR = 1.0e-8  # [rad or m]: agreement that proves the point by itself
-_SETTLED = 2.0  # distance in last changes; a method of order 2 that approaches has 1/3
-
-
-class Approach(NamedTuple):
-    """Result of the check.
-
-    Attributes:
-        is_wrong: RATTLE settles on another motion.
-        text: Its largest differences in position from step to step [rad or m].
-    """
-
-    is_wrong: bool
-    text: str
 
 
 def approach(scene: Scene, motion: Known) -> Approach:
@@ -319,6 +263,18 @@ def approach(scene: Scene, motion: Known) -> Approach:
     return Approach(False, shown if away[-1] < away[-2] else f"{shown}, not settled")
 
 
+class Approach(NamedTuple):
+    """Result of the check.
+
+    Attributes:
+        is_wrong: RATTLE settles on another motion.
+        text: Its largest differences in position from step to step [rad or m].
+    """
+
+    is_wrong: bool
+    text: str
+
+
 def _runs(scene: Scene, motion: Known) -> list[list[State]]:
     """States of all joints at the samples, for steps that are halved."""
     runs = []
@@ -334,3 +290,33 @@ def _runs(scene: Scene, motion: Known) -> list[list[State]]:
 
 def _apart(scene: Scene, ours: Sequence[State], theirs: Sequence[State]) -> float:
     return max(distance(scene, x, y) for x, y in zip(ours, theirs, strict=True))
+
+
+def of_record(record: Mapping[str, Any]) -> Choice:
+    """The choice that a result was made with."""
+    return Choice(*(record[key] for key in Choice._fields))
+
+
+def snippet(choice: Choice) -> str:
+    """Lines to be pasted into a scene file."""
+    lines = [f"integrator: {_entry(choice.integrator)}", f"dt: {_number(choice.dt)}"]
+    if choice.stabilization is not None:
+        lines.insert(0, f"stabilization: {_entry(choice.stabilization)}")
+    if choice.solver != "plain":
+        lines.insert(0, f"solver: {{type: {choice.solver}}}")
+    return "\n".join(lines)
+
+
+def compiles(scene: Scene, integrator: Mapping[str, Any]) -> bool:
+    """Whether `auto` takes compiled steps; not where extra or compiler are missing."""
+    simulation = build_simulation(scene, integrator=integrator, solver={"type": "auto"})
+    return simulation.how.startswith(COMPILED)
+
+
+def _entry(entry: Mapping[str, Any]) -> str:
+    values = {k: _number(v) if isinstance(v, float) else str(v) for k, v in entry.items()}
+    return f"{{{', '.join(f'{k}: {v}' for k, v in values.items())}}}"
+
+
+def _number(value: float) -> str:
+    return f"{value:g}"

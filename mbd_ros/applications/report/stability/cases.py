@@ -1,5 +1,7 @@
 """A scene with its true motion, and the verdict on a method."""
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Mapping
@@ -22,10 +24,6 @@ from mbd_ros.errors import MbdError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.part_entries import build_part
 
-# ---- cases ------------------------------------------------------------------------------------
-# A scene with its true motion, and the verdict on a method.
-
-
 CONVERGED, BOUNDED, STOPPED = "converged", "bounded", "stopped"
 WARNED, WRONG, UNKNOWN = "warned", "WRONG", "not comparable"
 VERDICTS = (CONVERGED, BOUNDED, STOPPED, WARNED, UNKNOWN, WRONG)
@@ -43,26 +41,11 @@ METHODS: Mapping[str, Entry] = {
 TIME_STEPPING = "moreau_jean"  # on contacts
 EQUATIONS = "equations"
 COLUMNS = (EQUATIONS, *METHODS, TIME_STEPPING)  # of the map
-
-
-class Verdict(NamedTuple):
-    """One cell of the map.
-
-    Attributes:
-        kind: One of `VERDICTS`.
-        error: Relative to the size of the motion; inf where it cannot be told.
-        text: Reason of a stop, or the fault.
-    """
-
-    kind: str
-    error: float
-    text: str = ""
-
-
-def raised(error: Exception) -> Verdict:
-    """A stop where it is an error of this package; any other exception is a finding."""
-    kind = STOPPED if isinstance(error, MbdError) else WRONG
-    return Verdict(kind, math.inf, f"{type(error).__name__}: {error}")
+FITTING = 2  # steps that a motion lasts at least
+LATEST = 10.0  # [s]: later a mechanism that falls is too far off for differences of places
+_MOST = 48  # intervals of a motion that is made longer for its step
+_OFF = 1.2  # ratio of two steps from which on they are different ones
+_ROUNDING = 1.0e-9
 
 
 class Case:
@@ -89,6 +72,26 @@ class Case:
         potential = np.array([p for _, p in stored])
         swing = float(np.ptp(potential)) + float(kinetic.max())
         self.energies, self.swing = kinetic + potential, max(swing, 1.0e-9)
+
+
+class Verdict(NamedTuple):
+    """One cell of the map.
+
+    Attributes:
+        kind: One of `VERDICTS`.
+        error: Relative to the size of the motion; inf where it cannot be told.
+        text: Reason of a stop, or the fault.
+    """
+
+    kind: str
+    error: float
+    text: str = ""
+
+
+def raised(error: Exception) -> Verdict:
+    """A stop where it is an error of this package; any other exception is a finding."""
+    kind = STOPPED if isinstance(error, MbdError) else WRONG
+    return Verdict(kind, math.inf, f"{type(error).__name__}: {error}")
 
 
 def applicable(scene: Scene) -> list[str]:
@@ -127,24 +130,19 @@ def integrator(method: str) -> Any:
     return build_part("integrators", METHODS[method], "stability")
 
 
-def is_named(case: Case, reason: str) -> bool:
-    """Whether a message names a time, a joint, a link or a row."""
-    robot = case.scene.robot
-    links = [frame.name for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
-    rows = [row.name for row in labelled(case.scene.constraints)]
-    names = (*(joint.name for joint in robot.joints), *links, *rows)
-    return "t = " in reason or any(re.search(rf"\b{re.escape(n)}\b", reason) for n in names)
+def asked_step(method: str, rate: float, factor: float, dt: float = 0.0) -> float:
+    """What a run is asked for [s]; 0 for a method that chooses its steps.
 
-
-# ---- steps ------------------------------------------------------------------------------------
-# Steps that meet the times of a comparison, and times that leave room for a step.
-
-
-FITTING = 2  # steps that a motion lasts at least
-LATEST = 10.0  # [s]: later a mechanism that falls is too far off for differences of places
-_MOST = 48  # intervals of a motion that is made longer for its step
-_OFF = 1.2  # ratio of two steps from which on they are different ones
-_ROUNDING = 1.0e-9
+    Args:
+        method: Key of `METHODS`.
+        rate: Fastest rate at the start [1/s].
+        factor: Multiple of the longest step that `check` does not warn of.
+        dt: Step instead of the factor [s], if > 0.
+    """
+    longest = longest_step(method, rate)
+    if longest == math.inf:
+        return 0.0
+    return dt if dt > 0.0 else factor * longest
 
 
 def room(grid: Grid, dt: float) -> Grid:
@@ -159,21 +157,6 @@ def room(grid: Grid, dt: float) -> Grid:
         return grid
     count = max(grid.count, min(_MOST, math.ceil(span / grid.interval)))
     return Grid(span / count, count)
-
-
-def asked_step(method: str, rate: float, factor: float, dt: float = 0.0) -> float:
-    """What a run is asked for [s]; 0 for a method that chooses its steps.
-
-    Args:
-        method: Key of `METHODS`.
-        rate: Fastest rate at the start [1/s].
-        factor: Multiple of the longest step that `check` does not warn of.
-        dt: Step instead of the factor [s], if > 0.
-    """
-    longest = longest_step(method, rate)
-    if longest == math.inf:
-        return 0.0
-    return dt if dt > 0.0 else factor * longest
 
 
 def fitted(grid: Grid, dt: float, is_longest: bool = True) -> float:
@@ -196,6 +179,15 @@ def fitted(grid: Grid, dt: float, is_longest: bool = True) -> float:
     if is_longest:
         steps = [step for step in steps if step <= dt * (1.0 + _ROUNDING)]
     return min(steps, key=lambda step: abs(math.log(step / dt)))
+
+
+def is_named(case: Case, reason: str) -> bool:
+    """Whether a message names a time, a joint, a link or a row."""
+    robot = case.scene.robot
+    links = [frame.name for frame in robot.model.frames if frame.type == pin.FrameType.BODY]
+    rows = [row.name for row in labelled(case.scene.constraints)]
+    names = (*(joint.name for joint in robot.joints), *links, *rows)
+    return "t = " in reason or any(re.search(rf"\b{re.escape(n)}\b", reason) for n in names)
 
 
 def is_another(factor: float, ran: float) -> bool:

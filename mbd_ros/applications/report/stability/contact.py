@@ -4,6 +4,8 @@ Rows are judged by closed forms, and by laws that need no other solution: no sta
 that is not finite, lies in the ground, or has gained energy.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterator, Sequence
 from functools import partial
@@ -37,39 +39,20 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.simulation import build_simulation
 
-# ---- contact rows -----------------------------------------------------------------------------
-# Rows of the map with contacts: extreme contact problems whose motion is known.
-
-
 _PLATE = (1.0, 1.0, 0.02)  # m
 _FLAT = 0.2  # m: largest thickness of a plate times mu; from its length on, friction tips it
 _USUAL, _LONG = 1.0e-2, 1.0e-1  # s, steps
 _DOWN = (0.0, 0.0, -GRAVITY)
 _COUNT = 10  # samples
 _Error = Callable[[Sequence[float], Trace], float]
-
-
-class ContactRow(NamedTuple):
-    """One row of the map.
-
-    Attributes:
-        family: The extreme property.
-        label: Its size.
-        problem: The problem; its error is relative.
-        dt: Step of all methods [s].
-        seconds: About how long it takes.
-    """
-
-    family: str
-    label: str
-    problem: Problem
-    dt: float = _USUAL
-    seconds: float = 2.5
-
-    @property
-    def name(self) -> str:
-        """Unique name of letters, digits, points and dashes."""
-        return item_name(f"{self.family}-{self.label}")
+CONTACT_METHODS: dict[str, Entry] = {
+    "rk4": {"type": "rk4"},
+    "dop853": {"type": "dop853", "tolerance": 1.0e-8},
+    TIME_STEPPING: {"type": TIME_STEPPING},
+}
+_DEPTH = 1.0e-9  # of the largest length of a solid, in the ground
+_GAIN = 1.0e-9  # of the energy of the motion, in one step
+_QUARTERS, _BETTER = 3, 0.6  # shorter steps, and what one of them must leave of the error
 
 
 def contact_rows(quick: bool) -> list[ContactRow]:
@@ -87,6 +70,40 @@ def _masses() -> Iterator[ContactRow]:
             yield ContactRow("contact, mass ratio", f"{label}, heavy {place}", stack)
 
 
+def _stack(masses: Sequence[float], span: float = 0.2) -> Problem:
+    """Boxes at rest, one above the other; they neither move nor share their weight wrongly."""
+    size = (0.2, 0.2, 0.1)
+    names = [f"box{i}" for i in range(len(masses))]
+    solids = [
+        Solid(name, mass, "box", size, (0.0, 0.0, (i + 0.5) * size[2]))
+        for i, (name, mass) in enumerate(zip(names, masses, strict=True))
+    ]
+    places = np.array([solid.at for solid in solids])
+    weights: Array = GRAVITY * np.cumsum(masses[::-1])[::-1]
+
+    def error(times: Sequence[float], run: Trace) -> float:
+        moved = float(np.abs(run.x - places).max()) / size[2]
+        return max(moved, float(np.abs(run.forces / weights - 1.0).max()))
+
+    pairs = tuple(zip(names, (GROUND, *names[:-1]), strict=True))
+    problem = _problem(solids, 0.5, span, error)
+    return problem._replace(pairs=pairs, is_smooth=False, has_forces=True)
+
+
+def _problem(solids: Sequence[Solid], mu: float, span: float, error: _Error) -> Problem:
+    """A problem of a lowest solid on the ground.
+
+    Args:
+        solids: From the lowest up.
+        mu: Coefficient of friction.
+        span: [s].
+        error: Relative error of a run with samples at some times.
+    """
+    times = tuple(round(span * (k + 1) / _COUNT, 9) for k in range(_COUNT))
+    name, pairs, own = solids[0].name, ((solids[0].name, GROUND),), partial(error, times)
+    return Problem(name, _DOWN, tuple(solids), pairs, mu, 0.0, times, own, "relative", 0.0)
+
+
 def _frictions() -> Iterator[ContactRow]:
     family = "contact, friction"
     cases = (("mu = 0", 30.0, 0.0, 3.0), ("mu = 1.5 sticks", 50.0, 1.5, 0.0))
@@ -94,6 +111,29 @@ def _frictions() -> Iterator[ContactRow]:
         yield ContactRow(family, label, _incline(degrees, mu, speed))
     for mu in (10.0, 100.0):
         yield ContactRow(family, f"steep cone, mu = {mu:g}", _incline(0.0, mu, 3.0))
+
+
+def _incline(degrees: float, mu: float, speed: float, solid: Solid | None = None) -> Problem:
+    """A plate on an incline whose x points uphill."""
+    angle, way = math.radians(degrees), max(1.0, speed**2 / (2.0 * GRAVITY * max(mu, 0.5)))
+    solid = solid or _plate(mu, speed)
+
+    def error(times: Sequence[float], run: Trace) -> float:
+        truth = [closed_forms.incline(t, degrees, mu, speed)[0] for t in times]
+        off = run.x[:, 0] - np.array(solid.at)
+        off[:, 0] -= truth
+        return float(np.abs(off).max()) / way
+
+    problem = _problem((solid,), mu, 2.0, error)
+    return problem._replace(gravity=(-GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)))
+
+
+def _plate(mu: float, speed: float) -> Solid:
+    """A plate that slides, so flat that friction at its lower side does not tip it."""
+    length, width, usual = _PLATE
+    thickness = min(usual, _FLAT / max(mu, _FLAT))
+    size, at = (length, width, thickness), (0.0, 0.0, 0.5 * thickness)
+    return Solid("plate", 2.0, "box", size, at, (speed, 0.0, 0.0))
 
 
 def _legs() -> Iterator[ContactRow]:
@@ -121,24 +161,20 @@ def _edges() -> Iterator[ContactRow]:
     yield ContactRow("contact, edge on edge", "falls 5 cm", problem)
 
 
+def _height_error(known: Callable[[float], float], size: float) -> _Error:
+    def error(times: Sequence[float], run: Trace) -> float:
+        truth = np.array([known(t) for t in times])
+        return float(np.abs(run.x[:, 0, 2] - truth).max()) / size
+
+    return error
+
+
 def _drops() -> Iterator[ContactRow]:
     plate = Solid("plate", 2.0, "box", _PLATE, (0.0, 0.0, 0.5 * _PLATE[2]))
     ball = Solid("ball", 2.0, "sphere", (0.1,), (0.0, 0.0, 0.1))
     for e, solid in ((0.0, plate), (0.5, ball)):
         label = f"{solid.name} from 100 m, e = {e:g}"
         yield ContactRow("contact, drop", label, _bounce(solid, 100.0, e, 6.0))
-
-
-def _long_steps() -> Iterator[ContactRow]:
-    family = f"contact, steps of {_LONG:g} s"
-    for label, degrees, mu, speed in (
-        *(("up and stick", 20.0, 0.5, 3.0), ("up and back", 30.0, 0.3, 3.0)),
-        ("mu = 1.5 stops", 50.0, 1.5, 3.0),
-    ):
-        yield ContactRow(family, label, _incline(degrees, mu, speed), _LONG)
-    yield ContactRow(family, "stack 1 to 1e6", _stack((1.0, 1.0, 1.0e6), 1.0), _LONG)
-    ball = Solid("ball", 1.0, "sphere", (0.1,), (0.0, 0.0, 0.1))
-    yield ContactRow(family, "bounces of e = 0.8", _bounce(ball, 1.0, 0.8, 5.0), _LONG)
 
 
 def _bounce(solid: Solid, height: float, e: float, span: float) -> Problem:
@@ -153,88 +189,39 @@ def _bounce(solid: Solid, height: float, e: float, span: float) -> Problem:
     return problem._replace(restitution=e)
 
 
-def _problem(solids: Sequence[Solid], mu: float, span: float, error: _Error) -> Problem:
-    """A problem of a lowest solid on the ground.
+def _long_steps() -> Iterator[ContactRow]:
+    family = f"contact, steps of {_LONG:g} s"
+    for label, degrees, mu, speed in (
+        *(("up and stick", 20.0, 0.5, 3.0), ("up and back", 30.0, 0.3, 3.0)),
+        ("mu = 1.5 stops", 50.0, 1.5, 3.0),
+    ):
+        yield ContactRow(family, label, _incline(degrees, mu, speed), _LONG)
+    yield ContactRow(family, "stack 1 to 1e6", _stack((1.0, 1.0, 1.0e6), 1.0), _LONG)
+    ball = Solid("ball", 1.0, "sphere", (0.1,), (0.0, 0.0, 0.1))
+    yield ContactRow(family, "bounces of e = 0.8", _bounce(ball, 1.0, 0.8, 5.0), _LONG)
 
-    Args:
-        solids: From the lowest up.
-        mu: Coefficient of friction.
-        span: [s].
-        error: Relative error of a run with samples at some times.
+
+class ContactRow(NamedTuple):
+    """One row of the map.
+
+    Attributes:
+        family: The extreme property.
+        label: Its size.
+        problem: The problem; its error is relative.
+        dt: Step of all methods [s].
+        seconds: About how long it takes.
     """
-    times = tuple(round(span * (k + 1) / _COUNT, 9) for k in range(_COUNT))
-    name, pairs, own = solids[0].name, ((solids[0].name, GROUND),), partial(error, times)
-    return Problem(name, _DOWN, tuple(solids), pairs, mu, 0.0, times, own, "relative", 0.0)
 
+    family: str
+    label: str
+    problem: Problem
+    dt: float = _USUAL
+    seconds: float = 2.5
 
-def _height_error(known: Callable[[float], float], size: float) -> _Error:
-    def error(times: Sequence[float], run: Trace) -> float:
-        truth = np.array([known(t) for t in times])
-        return float(np.abs(run.x[:, 0, 2] - truth).max()) / size
-
-    return error
-
-
-def _incline(degrees: float, mu: float, speed: float, solid: Solid | None = None) -> Problem:
-    """A plate on an incline whose x points uphill."""
-    angle, way = math.radians(degrees), max(1.0, speed**2 / (2.0 * GRAVITY * max(mu, 0.5)))
-    solid = solid or _plate(mu, speed)
-
-    def error(times: Sequence[float], run: Trace) -> float:
-        truth = [closed_forms.incline(t, degrees, mu, speed)[0] for t in times]
-        off = run.x[:, 0] - np.array(solid.at)
-        off[:, 0] -= truth
-        return float(np.abs(off).max()) / way
-
-    problem = _problem((solid,), mu, 2.0, error)
-    return problem._replace(gravity=(-GRAVITY * math.sin(angle), 0.0, -GRAVITY * math.cos(angle)))
-
-
-def _plate(mu: float, speed: float) -> Solid:
-    """A plate that slides, so flat that friction at its lower side does not tip it."""
-    length, width, usual = _PLATE
-    thickness = min(usual, _FLAT / max(mu, _FLAT))
-    size, at = (length, width, thickness), (0.0, 0.0, 0.5 * thickness)
-    return Solid("plate", 2.0, "box", size, at, (speed, 0.0, 0.0))
-
-
-def _stack(masses: Sequence[float], span: float = 0.2) -> Problem:
-    """Boxes at rest, one above the other; they neither move nor share their weight wrongly."""
-    size = (0.2, 0.2, 0.1)
-    names = [f"box{i}" for i in range(len(masses))]
-    solids = [
-        Solid(name, mass, "box", size, (0.0, 0.0, (i + 0.5) * size[2]))
-        for i, (name, mass) in enumerate(zip(names, masses, strict=True))
-    ]
-    places = np.array([solid.at for solid in solids])
-    weights: Array = GRAVITY * np.cumsum(masses[::-1])[::-1]
-
-    def error(times: Sequence[float], run: Trace) -> float:
-        moved = float(np.abs(run.x - places).max()) / size[2]
-        return max(moved, float(np.abs(run.forces / weights - 1.0).max()))
-
-    pairs = tuple(zip(names, (GROUND, *names[:-1]), strict=True))
-    problem = _problem(solids, 0.5, span, error)
-    return problem._replace(pairs=pairs, is_smooth=False, has_forces=True)
-
-
-# ---- contact verdicts -------------------------------------------------------------------------
-# Verdicts on contact problems, by closed forms and by laws that every state can be asked for.
-
-
-CONTACT_METHODS: dict[str, Entry] = {
-    "rk4": {"type": "rk4"},
-    "dop853": {"type": "dop853", "tolerance": 1.0e-8},
-    TIME_STEPPING: {"type": TIME_STEPPING},
-}
-_DEPTH = 1.0e-9  # of the largest length of a solid, in the ground
-_GAIN = 1.0e-9  # of the energy of the motion, in one step
-_QUARTERS, _BETTER = 3, 0.6  # shorter steps, and what one of them must leave of the error
-
-
-def contact_methods(problem: Problem) -> list[str]:
-    """Methods that take a problem: events need gaps that are smooth."""
-    return list(CONTACT_METHODS) if problem.is_smooth else [TIME_STEPPING]
+    @property
+    def name(self) -> str:
+        """Unique name of letters, digits, points and dashes."""
+        return item_name(f"{self.family}-{self.label}")
 
 
 def judge_contact(problem: Problem, method: str, dt: float) -> Verdict:
@@ -263,26 +250,6 @@ def judge_contact(problem: Problem, method: str, dt: float) -> Verdict:
     return Verdict(WRONG, error, f"off by {error:.3g}, and by {shorter:.3g} at shorter steps")
 
 
-def faults(problem: Problem, scene: Scene, states: Sequence[State]) -> str:
-    """What no solution is needed for: the first fault of a motion, empty without any."""
-    model = scene.robot.model
-    data, before = model.createData(), math.inf
-    size = max(length for solid in problem.solids for length in solid.size)
-    energies = [_energy(model, data, x) for x in states]
-    lift = sum(solid.mass for solid in problem.solids) * float(np.linalg.norm(problem.gravity))
-    swing = max(float(np.ptp(energies)), max(_kinetic(model, data, x) for x in states))
-    swing += lift * size
-    for x, energy in zip(states, energies, strict=True):
-        if not (np.isfinite(x.q).all() and np.isfinite(x.v).all()):
-            return f"a state at t = {x.t:.6g} s is not finite"
-        if energy > before + _GAIN * swing:
-            return f"a step gains {energy - before:.3g} J of {swing:.3g} J at t = {x.t:.6g} s"
-        if (depth := _depth(problem, x)) > _DEPTH * size:
-            return f"something is {depth:.3g} m in the ground at t = {x.t:.6g} s"
-        before = energy
-    return ""
-
-
 def _attempt(problem: Problem, scene: Scene, method: str, dt: float) -> tuple[float, str]:
     """The error of a run, and its first fault."""
     simulation = build_simulation(scene, integrator=CONTACT_METHODS[method], dt=dt)
@@ -309,6 +276,26 @@ def _is_named(problem: Problem, text: str) -> bool:
     """Whether a message names a time, a solid or a contact."""
     names = [*(solid.name for solid in problem.solids), "pair"]
     return "t = " in text or any(name in text for name in names)
+
+
+def faults(problem: Problem, scene: Scene, states: Sequence[State]) -> str:
+    """What no solution is needed for: the first fault of a motion, empty without any."""
+    model = scene.robot.model
+    data, before = model.createData(), math.inf
+    size = max(length for solid in problem.solids for length in solid.size)
+    energies = [_energy(model, data, x) for x in states]
+    lift = sum(solid.mass for solid in problem.solids) * float(np.linalg.norm(problem.gravity))
+    swing = max(float(np.ptp(energies)), max(_kinetic(model, data, x) for x in states))
+    swing += lift * size
+    for x, energy in zip(states, energies, strict=True):
+        if not (np.isfinite(x.q).all() and np.isfinite(x.v).all()):
+            return f"a state at t = {x.t:.6g} s is not finite"
+        if energy > before + _GAIN * swing:
+            return f"a step gains {energy - before:.3g} J of {swing:.3g} J at t = {x.t:.6g} s"
+        if (depth := _depth(problem, x)) > _DEPTH * size:
+            return f"something is {depth:.3g} m in the ground at t = {x.t:.6g} s"
+        before = energy
+    return ""
 
 
 def _energy(model: pin.Model, data: pin.Data, x: State) -> float:
@@ -342,3 +329,8 @@ def _lowest(solid: Solid, R: Array) -> float:
     half = 0.5 * np.array(solid.size)
     corners = [(x, y, z) * half for x, y in CORNERS for z in (-1.0, 1.0)]
     return float((np.array(corners) @ R.T)[:, 2].min())
+
+
+def contact_methods(problem: Problem) -> list[str]:
+    """Methods that take a problem: events need gaps that are smooth."""
+    return list(CONTACT_METHODS) if problem.is_smooth else [TIME_STEPPING]

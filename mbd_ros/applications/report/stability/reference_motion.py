@@ -1,5 +1,7 @@
 """Motion that two families of methods agree on, and for how long it can be told."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -14,9 +16,6 @@ from mbd_ros.methods.integration.linear_motion import LinearMotion, fastest_rate
 from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.simulation import build_simulation
-
-# ---- motion -----------------------------------------------------------------------------------
-# Runs of a scene, kept on a grid of times.
 
 
 class Grid(NamedTuple):
@@ -45,88 +44,8 @@ class Motion(NamedTuple):
     every: Sequence[State] = ()
 
 
-def motion(
-    scene: Scene, method: Entry, dt: float, grid: Grid, solver: str = "plain", **others: Any
-) -> Motion:
-    """Run a scene and keep the states on a grid.
-
-    Args:
-        scene: The scene.
-        method: Integrator entry.
-        dt: A whole fraction of the interval [s], or a longer step than half of it, whose states
-            are all kept.
-        grid: When to keep states.
-        solver: Tier.
-        **others: `start`: state to begin with; `stabilization`: entry.
-    """
-    found: list[State] = []
-    every = max(1, round(grid.interval / dt))
-    try:
-        start = others.pop("start", scene.initial)
-        simulation = build_simulation(
-            scene, integrator=method, dt=dt, solver={"type": solver}, **others
-        )
-        for x in simulation.run(start, grid.span):
-            found.append(x)
-    except MbdError as error:
-        return Motion(found[::every], f"{type(error).__name__}: {error}", found)
-    return Motion(found[::every], "", found)
-
-
-# ---- other formulations -----------------------------------------------------------------------
-# Motion of extreme scenes by other equations than the tested ones.
-
-
 Known = Callable[[Grid], Motion]
 _PRECISE = 1.0e-12
-
-
-def elsewhere(load: Callable[[], LoadedScene], solver: str) -> Known:
-    """Motion of a scene with the same joints at another place, under another tier."""
-
-    def known(grid: Grid) -> Motion:
-        method = {"type": "dop853", "tolerance": _PRECISE}
-        return motion(load().scene, method, grid.interval, grid, solver)
-
-    return known
-
-
-def rotor(moments: Sequence[float], rates: Sequence[float]) -> Known:
-    """A free rotor on hinges z, y, x from angles 0, by Euler's equations in body axes.
-
-    I w' = (I w) x w, and w = (c' - a' sin b, b' cos c + a' cos b sin c, a' cos b cos c - b' sin c)
-    of the angles a, b, c.
-
-    Args:
-        moments: Principal moments of inertia [kg·m^2], shape (3,).
-        rates: First rates of the angles [rad/s], shape (3,).
-    """
-    inertia = np.array(moments)
-
-    def angular_rates(y: Array) -> Array:
-        (_, b, c), (x, across, along) = y[:3], y[3:]
-        a_rate = (across * np.sin(c) + along * np.cos(c)) / np.cos(b)
-        b_rate = across * np.cos(c) - along * np.sin(c)
-        return np.array([a_rate, b_rate, x + a_rate * np.sin(b)])
-
-    def slope(_: float, y: Array) -> Array:
-        w = y[3:]
-        return np.concatenate([angular_rates(y), np.cross(inertia * w, w) / inertia])
-
-    def known(grid: Grid) -> Motion:
-        times = np.linspace(0.0, grid.span, grid.count + 1)
-        start, span = np.array([0.0, 0.0, 0.0, *rates[::-1]]), (0.0, grid.span)
-        found = solve_ivp(slope, span, start, "DOP853", times, rtol=_PRECISE, atol=_PRECISE)
-        rows = zip(found.t.tolist(), found.y.T, strict=True)
-        return Motion([State(t, y[:3].copy(), angular_rates(y)) for t, y in rows], "")
-
-    return known
-
-
-# ---- reference motion -------------------------------------------------------------------------
-# Motion that two families of methods agree on, and for how long it can be told.
-
-
 _FIRST = {"type": "dop853"}
 _SECOND = {"type": "gauss_legendre", "stages": 3}
 _THIRD = {"type": "dopri5", "tolerance": 1.0e-7}  # where Newton finds no stops
@@ -222,16 +141,38 @@ def reference(scene: Scene, grid: Grid, known: Known | None = None) -> Reference
     )
 
 
-def first(scene: Scene, grid: Grid) -> Motion:
-    """Motion with the smallest tolerance that goes furthest."""
-    found = Motion([], "")
-    for tolerance in _TOLERANCES:
-        further = motion(scene, {**_FIRST, "tolerance": tolerance}, grid.interval, grid)
-        if not found.states or len(further.states) > len(found.states):
-            found = further
-        if not further.reason:
-            break
-    return found
+def _largest_rate(scene: Scene, states: list[State], rate: float) -> float:
+    system = scene.system()
+    for x in states[:: max(1, len(states) // 4)]:
+        rate = max(rate, fastest_rate(system, system.reduce(x)))
+    return rate
+
+
+def _size(scene: Scene, states: list[State]) -> tuple[float, float]:
+    model = scene.robot.model
+    moved = [float(np.abs(pin.difference(model, states[0].q, x.q)).max()) for x in states]
+    speed = [float(np.abs(x.v).max()) for x in states]
+    return max(1.0e-4, *moved), max(1.0e-3, *speed)
+
+
+def _growth(
+    scene: Scene, grid: Grid, states: list[State], size: tuple[float, float]
+) -> list[float]:
+    """How much a perturbation of the first velocities grows, at every time."""
+    x = scene.initial
+    signs: Array = np.where(np.arange(len(x.v)) % 3 == 0, -1.0, 1.0)
+    v = x.v + _PERTURBATION * size[1] * signs
+    near = motion(scene, _GROWTH, grid.interval, grid, start=State(x.t, x.q, v)).states
+    away = [distance(scene, a, b, size) for a, b in zip(states, near, strict=False)]
+    first = max(away[0], 1.0e-3 * _PERTURBATION) if away else 1.0
+    return list(np.maximum.accumulate([d / first for d in away])) if away else []
+
+
+def distance(scene: Scene, a: State, b: State, size: tuple[float, float]) -> float:
+    """Difference of two states relative to the size of the motion; inf for NaN."""
+    dq = pin.difference(scene.robot.model, a.q, b.q)
+    away = max(np.abs(dq).max() / size[0], np.abs(a.v - b.v).max() / size[1])
+    return float(away) if away < np.inf else np.inf
 
 
 def _second(
@@ -267,6 +208,23 @@ def _second(
     return closest, name
 
 
+def _fitting(interval: float, dt: float) -> float:
+    """A whole fraction of the interval, at most dt."""
+    return interval / max(1, int(np.ceil(interval / dt - 1.0e-9)))
+
+
+def first(scene: Scene, grid: Grid) -> Motion:
+    """Motion with the smallest tolerance that goes furthest."""
+    found = Motion([], "")
+    for tolerance in _TOLERANCES:
+        further = motion(scene, {**_FIRST, "tolerance": tolerance}, grid.interval, grid)
+        if not found.states or len(further.states) > len(found.states):
+            found = further
+        if not further.reason:
+            break
+    return found
+
+
 def starting_rate(scene: Scene) -> float:
     """Fastest rate at the start, which the recommended step follows from [1/s]."""
     return max(starting_motion(scene).rate, LEAST_RATE)
@@ -278,40 +236,71 @@ def starting_motion(scene: Scene) -> LinearMotion:
     return linear_motion(system, assemble(system, system.reduce(scene.initial)))
 
 
-def distance(scene: Scene, a: State, b: State, size: tuple[float, float]) -> float:
-    """Difference of two states relative to the size of the motion; inf for NaN."""
-    dq = pin.difference(scene.robot.model, a.q, b.q)
-    away = max(np.abs(dq).max() / size[0], np.abs(a.v - b.v).max() / size[1])
-    return float(away) if away < np.inf else np.inf
+def elsewhere(load: Callable[[], LoadedScene], solver: str) -> Known:
+    """Motion of a scene with the same joints at another place, under another tier."""
+
+    def known(grid: Grid) -> Motion:
+        method = {"type": "dop853", "tolerance": _PRECISE}
+        return motion(load().scene, method, grid.interval, grid, solver)
+
+    return known
 
 
-def _fitting(interval: float, dt: float) -> float:
-    """A whole fraction of the interval, at most dt."""
-    return interval / max(1, int(np.ceil(interval / dt - 1.0e-9)))
+def rotor(moments: Sequence[float], rates: Sequence[float]) -> Known:
+    """A free rotor on hinges z, y, x from angles 0, by Euler's equations in body axes.
+
+    I w' = (I w) x w, and w = (c' - a' sin b, b' cos c + a' cos b sin c, a' cos b cos c - b' sin c)
+    of the angles a, b, c.
+
+    Args:
+        moments: Principal moments of inertia [kg·m^2], shape (3,).
+        rates: First rates of the angles [rad/s], shape (3,).
+    """
+    inertia = np.array(moments)
+
+    def angular_rates(y: Array) -> Array:
+        (_, b, c), (x, across, along) = y[:3], y[3:]
+        a_rate = (across * np.sin(c) + along * np.cos(c)) / np.cos(b)
+        b_rate = across * np.cos(c) - along * np.sin(c)
+        return np.array([a_rate, b_rate, x + a_rate * np.sin(b)])
+
+    def slope(_: float, y: Array) -> Array:
+        w = y[3:]
+        return np.concatenate([angular_rates(y), np.cross(inertia * w, w) / inertia])
+
+    def known(grid: Grid) -> Motion:
+        times = np.linspace(0.0, grid.span, grid.count + 1)
+        start, span = np.array([0.0, 0.0, 0.0, *rates[::-1]]), (0.0, grid.span)
+        found = solve_ivp(slope, span, start, "DOP853", times, rtol=_PRECISE, atol=_PRECISE)
+        rows = zip(found.t.tolist(), found.y.T, strict=True)
+        return Motion([State(t, y[:3].copy(), angular_rates(y)) for t, y in rows], "")
+
+    return known
 
 
-def _size(scene: Scene, states: list[State]) -> tuple[float, float]:
-    model = scene.robot.model
-    moved = [float(np.abs(pin.difference(model, states[0].q, x.q)).max()) for x in states]
-    speed = [float(np.abs(x.v).max()) for x in states]
-    return max(1.0e-4, *moved), max(1.0e-3, *speed)
+def motion(
+    scene: Scene, method: Entry, dt: float, grid: Grid, solver: str = "plain", **others: Any
+) -> Motion:
+    """Run a scene and keep the states on a grid.
 
-
-def _growth(
-    scene: Scene, grid: Grid, states: list[State], size: tuple[float, float]
-) -> list[float]:
-    """How much a perturbation of the first velocities grows, at every time."""
-    x = scene.initial
-    signs: Array = np.where(np.arange(len(x.v)) % 3 == 0, -1.0, 1.0)
-    v = x.v + _PERTURBATION * size[1] * signs
-    near = motion(scene, _GROWTH, grid.interval, grid, start=State(x.t, x.q, v)).states
-    away = [distance(scene, a, b, size) for a, b in zip(states, near, strict=False)]
-    first = max(away[0], 1.0e-3 * _PERTURBATION) if away else 1.0
-    return list(np.maximum.accumulate([d / first for d in away])) if away else []
-
-
-def _largest_rate(scene: Scene, states: list[State], rate: float) -> float:
-    system = scene.system()
-    for x in states[:: max(1, len(states) // 4)]:
-        rate = max(rate, fastest_rate(system, system.reduce(x)))
-    return rate
+    Args:
+        scene: The scene.
+        method: Integrator entry.
+        dt: A whole fraction of the interval [s], or a longer step than half of it, whose states
+            are all kept.
+        grid: When to keep states.
+        solver: Tier.
+        **others: `start`: state to begin with; `stabilization`: entry.
+    """
+    found: list[State] = []
+    every = max(1, round(grid.interval / dt))
+    try:
+        start = others.pop("start", scene.initial)
+        simulation = build_simulation(
+            scene, integrator=method, dt=dt, solver={"type": solver}, **others
+        )
+        for x in simulation.run(start, grid.span):
+            found.append(x)
+    except MbdError as error:
+        return Motion(found[::every], f"{type(error).__name__}: {error}", found)
+    return Motion(found[::every], "", found)

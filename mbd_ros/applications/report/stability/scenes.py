@@ -1,5 +1,7 @@
 """Extreme and random scenes as texts."""
 
+from __future__ import annotations
+
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
@@ -23,51 +25,12 @@ from mbd_ros.applications.report.stability.scene_text import (
 )
 from mbd_ros.scene.built_scene import Scene
 
-# ---- extreme scenes ---------------------------------------------------------------------------
-# Stiff and extreme scenes: one parameter each, driven beyond reason.
-
-
 _SCENES = "package://mbd_ros/config/scenes"
 _DOWN = [0.0, -9.81, 0.0]
 _CAREFUL = 0.1  # of the longest step that `check` does not warn of
-
-
-class Extreme(NamedTuple):
-    """One row of the map.
-
-    Attributes:
-        family: The extreme property.
-        label: Its size.
-        load: Reads the scene.
-        grid: Times of the comparison.
-        factor: Step in multiples of the longest one without a warning; with `dt` unused.
-        dt: Step of all methods [s], or 0.
-        seconds: About how long it takes.
-        stops: Text of the stop that is expected here; empty if none is.
-        repeats: Whether another row has the runs of methods that choose their steps.
-        known: Gives the motion by other equations than those of the scene; by default DOP853 does.
-    """
-
-    family: str
-    label: str
-    load: Callable[[], LoadedScene]
-    grid: Grid
-    factor: float = _CAREFUL
-    dt: float = 0.0
-    seconds: float = 3.0
-    stops: str = ""
-    repeats: bool = False
-    known: Known | None = None
-
-    @property
-    def name(self) -> str:
-        """Unique name of letters, digits, points and dashes."""
-        return item_name(f"{self.family}-{self.label}")
-
-
-def item_name(text: str) -> str:
-    """A text as letters, digits, points, dashes and underscores."""
-    return re.sub(r"[^\w.-]+", "_", text, flags=re.ASCII)
+_STREAM = 20_250  # tells these numbers from those of others with the same seed
+_KINDS, _SHARES = ("revolute", "prismatic", "continuous"), (0.55, 0.25, 0.2)
+Random = np.random.Generator
 
 
 def extremes(quick: bool) -> list[Extreme]:
@@ -78,20 +41,21 @@ def extremes(quick: bool) -> list[Extreme]:
     return [row for rows in found for row in (rows[:1] if quick else rows)]
 
 
+def _masses() -> Iterator[Extreme]:
+    grid, start = Grid(0.05, 12), {"velocity": {"j0": 1.0, "j1": -2.0}}
+    for ratio in (1.0e2, 1.0e4, 1.0e6, 1.0e8):
+        label = f"1 to {ratio:.0e}".replace("e+0", "e")
+        for place, masses in (("inside", (1.0 / ratio, 1.0)), ("outside", (1.0, 1.0 / ratio))):
+            scene = mechanism({"initial": start}, *rods(masses))
+            yield Extreme("mass ratio", f"{label} {place}", scene, grid)
+        four_bar = _four_bar((1.0, 1.0 / ratio, 1.0))
+        yield Extreme("mass ratio", f"{label} in a loop", four_bar, grid)
+
+
 def mechanism(sections: Mapping[str, Any], *elements: str) -> Callable[[], LoadedScene]:
     """Reads a scene with some sections and a robot of some elements; gravity along -y."""
     whole = {"robot": {"urdf": ROBOT, "gravity": _DOWN}, **sections}
     return partial(load, SceneText(yaml_text(whole), robot(*elements)))
-
-
-def _file(name: str) -> Callable[[], LoadedScene]:
-    return partial(load_file, f"{_SCENES}/{name}.yaml")
-
-
-def rod(name: str, length: float, mass: float) -> str:
-    """A homogeneous rod along x from its origin."""
-    slender, thin = mass * length**2 / 12.0, 1.0e-4 * mass * length**2
-    return link(name, mass, (0.5 * length, 0.0, 0.0), np.diag((thin, slender, slender)))
 
 
 def rods(
@@ -106,15 +70,10 @@ def rods(
     return elements
 
 
-def _masses() -> Iterator[Extreme]:
-    grid, start = Grid(0.05, 12), {"velocity": {"j0": 1.0, "j1": -2.0}}
-    for ratio in (1.0e2, 1.0e4, 1.0e6, 1.0e8):
-        label = f"1 to {ratio:.0e}".replace("e+0", "e")
-        for place, masses in (("inside", (1.0 / ratio, 1.0)), ("outside", (1.0, 1.0 / ratio))):
-            scene = mechanism({"initial": start}, *rods(masses))
-            yield Extreme("mass ratio", f"{label} {place}", scene, grid)
-        four_bar = _four_bar((1.0, 1.0 / ratio, 1.0))
-        yield Extreme("mass ratio", f"{label} in a loop", four_bar, grid)
+def rod(name: str, length: float, mass: float) -> str:
+    """A homogeneous rod along x from its origin."""
+    slender, thin = mass * length**2 / 12.0, 1.0e-4 * mass * length**2
+    return link(name, mass, (0.5 * length, 0.0, 0.0), np.diag((thin, slender, slender)))
 
 
 def _four_bar(
@@ -163,6 +122,10 @@ def _steps() -> Iterator[Extreme]:
         for factor in (0.03, 0.1, 0.3, 1.0, 2.0, 5.0, 10.0):
             label = f"{factor:g} x recommended, {name.rpartition('/')[2]}"
             yield Extreme("step", label, _file(name), grid, factor, repeats=factor != 1.0)
+
+
+def _file(name: str) -> Callable[[], LoadedScene]:
+    return partial(load_file, f"{_SCENES}/{name}.yaml")
 
 
 def _speeds() -> Iterator[Extreme]:
@@ -239,13 +202,42 @@ def _gimbals() -> Iterator[Extreme]:
     yield Extreme("gimbal lock", "free rotor", scene, grid, dt=5.0e-4, known=known)
 
 
-# ---- random scenes ----------------------------------------------------------------------------
-# Random mechanisms from a seed: trees with couplings, loops, springs, friction and stops.
+class Extreme(NamedTuple):
+    """One row of the map.
+
+    Attributes:
+        family: The extreme property.
+        label: Its size.
+        load: Reads the scene.
+        grid: Times of the comparison.
+        factor: Step in multiples of the longest one without a warning; with `dt` unused.
+        dt: Step of all methods [s], or 0.
+        seconds: About how long it takes.
+        stops: Text of the stop that is expected here; empty if none is.
+        repeats: Whether another row has the runs of methods that choose their steps.
+        known: Gives the motion by other equations than those of the scene; by default DOP853 does.
+    """
+
+    family: str
+    label: str
+    load: Callable[[], LoadedScene]
+    grid: Grid
+    factor: float = _CAREFUL
+    dt: float = 0.0
+    seconds: float = 3.0
+    stops: str = ""
+    repeats: bool = False
+    known: Known | None = None
+
+    @property
+    def name(self) -> str:
+        """Unique name of letters, digits, points and dashes."""
+        return item_name(f"{self.family}-{self.label}")
 
 
-_STREAM = 20_250  # tells these numbers from those of others with the same seed
-_KINDS, _SHARES = ("revolute", "prismatic", "continuous"), (0.55, 0.25, 0.2)
-Random = np.random.Generator
+def item_name(text: str) -> str:
+    """A text as letters, digits, points, dashes and underscores."""
+    return re.sub(r"[^\w.-]+", "_", text, flags=re.ASCII)
 
 
 def random_scene(seed: int) -> SceneText:
@@ -284,6 +276,15 @@ def _tree(rng: Random, kinds: list[str]) -> str:
         elements.append(joint(f"j{i}", kind, (parent, f"b{i}"), at, rpy, _rounded(axis)))
         elements.append(_body(rng, f"b{i}"))
     return robot(*elements)
+
+
+def _direction(rng: Random) -> Any:
+    vector = rng.normal(size=3)
+    return vector / np.linalg.norm(vector)
+
+
+def _rounded(values: Any) -> list[float]:
+    return [round(float(value), 4) for value in values]
 
 
 def _body(rng: Random, name: str) -> str:
@@ -402,14 +403,5 @@ def _forces(rng: Random, kinds: list[str]) -> list[Entry]:
     return forces
 
 
-def _direction(rng: Random) -> Any:
-    vector = rng.normal(size=3)
-    return vector / np.linalg.norm(vector)
-
-
 def _numbers(values: Any) -> Entry:
     return {key: round(float(value), 4) for key, value in values.items()}
-
-
-def _rounded(values: Any) -> list[float]:
-    return [round(float(value), 4) for value in values]

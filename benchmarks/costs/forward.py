@@ -1,6 +1,6 @@
 """Cost of forward dynamics as ratios to a bare `pin.aba` of the same model; prints JSON.
 
-python -m mbd_ros.applications.report.bench.forward [--rounds 15]
+python benchmarks/costs/forward.py [--rounds 15]
 """
 
 import argparse

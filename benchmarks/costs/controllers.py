@@ -1,6 +1,6 @@
 """Cost of control laws as ratios to a bare `pin.aba`, of the QP to its tier where no limit acts.
 
-python -m mbd_ros.applications.report.bench.controllers [--states 2000]
+python benchmarks/costs/controllers.py [--states 2000]
 """
 
 import argparse

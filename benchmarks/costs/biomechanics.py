@@ -1,13 +1,14 @@
 """Cost of the node `muscle_forces` under joint states at a steady rate; prints JSON.
 
-python -m mbd_ros.applications.report.bench.biomechanics [SCENE] [--rate 200] [--seconds 20]
+python benchmarks/costs/biomechanics.py [SCENE] [--rate 200] [--seconds 20]
 """
 
 import argparse
 import json
 import sys
 
-from mbd_ros.applications.report.bench.node_load import measure
+from node_load import measure
+
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.locate import find_scene
 

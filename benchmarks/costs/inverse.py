@@ -1,6 +1,6 @@
 """Cost of inverse dynamics as ratios to bare Pinocchio calls and to a bare echo node; prints JSON.
 
-python -m mbd_ros.applications.report.bench.inverse [--seconds 4] [--leg SCENE]
+python benchmarks/costs/inverse.py [--seconds 4] [--leg SCENE]
 """
 
 import argparse
@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from node_load import Load, measure
 
-from mbd_ros.applications.report.bench.node_load import Load, measure
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.locate import find_file
@@ -102,7 +102,7 @@ def _paired(first: Callable[[], Any], second: Callable[[], Any]) -> tuple[float,
 def _nodes(scene: Scene, seconds: float) -> dict[str, Any]:
     """The node beside a bare echo: kept busy, and at 1 kHz, where either sleeps in between."""
     joints = scene.couplings.independent
-    echo = ["-m", "mbd_ros.applications.report.bench.echo_node"]
+    echo = [str(Path(__file__).with_name("echo_node.py"))]
     ours = ["-m", "mbd_ros.nodes", "inverse_dynamics", "--ros-args", "-p", f"scene:={scene.path}"]
     streams = {"busy": {"in_flight": 8}, "at 1 kHz": {"rate": 1000.0}}
     return {

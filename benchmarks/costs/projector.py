@@ -1,6 +1,6 @@
 """Cost of one projection as a ratio to one `pin.crba` and its Cholesky solve; prints JSON.
 
-python -m mbd_ros.applications.report.bench.projector [--rounds 15]
+python benchmarks/costs/projector.py [--rounds 15]
 """
 
 import argparse

@@ -1,6 +1,6 @@
 """Cost of contacts: steps and solves as ratios to a bare `pin.aba`; prints JSON.
 
-python -m mbd_ros.applications.report.bench.contact [--rounds 15]
+python benchmarks/costs/contact.py [--rounds 15]
 
 `arm7` holds one contact under friction at the last link of the 7-joint arm: its solve alone, the
 step that contains it, and the step without it. `idle` holds steps beside a contact far away over
