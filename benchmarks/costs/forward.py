@@ -17,7 +17,8 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.couplings import Coupling, Couplings, Linear
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State

@@ -9,12 +9,12 @@ import numpy as np
 from mbd_ros.core.kinematics.poses import (
     POSE,
     TWIST,
-    IndependentCoordinates,
     acceleration_of,
     configuration_of,
     rate_of,
     twist_of,
 )
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import Array, BodyMotion, Motion
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION as ACCELERATION_WORDS

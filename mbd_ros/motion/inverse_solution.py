@@ -8,8 +8,8 @@ import numpy as np
 
 from mbd_ros.core.dynamics.output_values import Showing
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
 from mbd_ros.core.loads.loads import Loads
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
 from mbd_ros.core.rows.coupling_rows import CouplingRows

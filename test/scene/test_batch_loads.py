@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mbd_ros import scene_from
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.model.couplings import IndependentCoordinates
 
 LOADS = {
     "hand": {"frame": "link7", "expressed_in": "world", "point": [0.1, -0.2, 0.3]},

@@ -2,7 +2,8 @@
 
 from places import ROOT
 
-from mbd_ros.core.model.couplings import Coupling, Polynomial, natural_cubic_spline
+from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
+from mbd_ros.core.model.couplings import Coupling
 
 CONFIG = ROOT / "config"
 

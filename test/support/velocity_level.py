@@ -9,7 +9,8 @@ from places import ROOT
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.couplings import Coupling, Couplings, Linear
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.rows.constraint_rows import RowLayout
 from mbd_ros.core.rows.coupling_rows import CouplingRows

@@ -14,7 +14,8 @@ import pinocchio as pin
 from mbd_ros.core.dynamics.chart import chart_of
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.system import Accelerator, writing
-from mbd_ros.core.model.couplings import Couplings, Linear
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 

@@ -5,7 +5,8 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.model.couplings import Couplings, Linear
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Constraint, Row
 from mbd_ros.core.state import Array, State

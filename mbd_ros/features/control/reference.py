@@ -6,7 +6,8 @@ from typing import Annotated, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.model.couplings import Couplings, Linear
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.ranges import Unit, Within
 from mbd_ros.core.state import Array
 from mbd_ros.features.control.trajectory import (

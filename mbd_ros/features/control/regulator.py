@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, ModelError, SolveError

@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.model.inertial_parameters import (
     COUNT,
     inertia_of,

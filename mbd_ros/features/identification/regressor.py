@@ -13,8 +13,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
-from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.couplings import Couplings, IndependentCoordinates
 from mbd_ros.core.model.inertial_parameters import parameters_of
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State

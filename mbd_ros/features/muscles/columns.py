@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import Array
 from mbd_ros.features.muscles.muscle_frames import Frames

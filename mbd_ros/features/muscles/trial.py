@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.muscles.contraction import Contraction, Fiber
 from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.core.muscles.muscle import Muscle

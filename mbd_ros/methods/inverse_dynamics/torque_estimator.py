@@ -7,14 +7,8 @@ from typing import Annotated, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.kinematics.poses import (
-    TWIST,
-    IndependentCoordinates,
-    configuration_of,
-    step_between,
-    with_sign_of,
-)
-from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.kinematics.poses import TWIST, configuration_of, step_between, with_sign_of
+from mbd_ros.core.model.couplings import Couplings, IndependentCoordinates
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit, Within
 from mbd_ros.core.state import NANOSECOND, Array

@@ -11,8 +11,9 @@ import numpy as np
 from geometry_msgs.msg import WrenchStamped
 from numpy.typing import NDArray
 
-from mbd_ros.core.kinematics.poses import TWIST, IndependentCoordinates
+from mbd_ros.core.kinematics.poses import TWIST
 from mbd_ros.core.loads.external_loads import WrenchBuffer
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import SceneError
 from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic

@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.model.couplings import Polynomial, natural_cubic_spline
+from mbd_ros.core.model.coupling_functions import Polynomial, natural_cubic_spline
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import OptionalDuration, Positive, Unit, is_value
 from mbd_ros.core.rows.constraint import Constraint, Row, drive

@@ -6,7 +6,7 @@ from typing import Annotated
 import numpy as np
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.model.couplings import Polynomial
+from mbd_ros.core.model.coupling_functions import Polynomial
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit
 from mbd_ros.core.state import Array, State

@@ -3,16 +3,15 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from mbd_ros.core.model.couplings import (
-    Coupling,
+from mbd_ros.core.model.coupling_functions import (
     CouplingFunction,
-    Couplings,
     Harmonic,
     Linear,
     PiecewisePolynomial,
     Polynomial,
     natural_cubic_spline,
 )
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.building import Site
@@ -131,6 +130,6 @@ def _function(kind: str, entry: Any, offset: float, where: str) -> CouplingFunct
         return Polynomial(entry)
     curve: Any = _CURVES.get(kind)
     if kind == "simm_spline":
-        from mbd_ros.core.model.couplings import simm_spline as curve
+        from mbd_ros.core.model.coupling_functions import simm_spline as curve
     function: CouplingFunction = schema.call(curve, entry, where)
     return function

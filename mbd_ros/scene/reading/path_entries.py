@@ -16,7 +16,7 @@ from mbd_ros.core.kinematics.paths.sphere import Sphere
 from mbd_ros.core.kinematics.paths.torus import Torus
 from mbd_ros.core.kinematics.paths.via_point import Interval, MovingViaPoint, ViaPoint
 from mbd_ros.core.kinematics.paths.wrap_surface import Side, Surface, Wrap
-from mbd_ros.core.model.couplings import CouplingFunction, Linear, Polynomial
+from mbd_ros.core.model.coupling_functions import CouplingFunction, Linear, Polynomial
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Length, Positive, Unit, Unlimited, Vector
 from mbd_ros.errors import ModelError, SceneError

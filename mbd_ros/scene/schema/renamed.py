@@ -17,7 +17,7 @@ RENAMED: Mapping[str, Mapping[str, str]] = {  # kind -> old name -> new name
         "mbd_ros.core.forward.row_factor": "mbd_ros.core.rows.delassus",
         "mbd_ros.core.forward.row_order": "mbd_ros.core.rows.constraint_rows",
         "mbd_ros.core.forward": "mbd_ros.core.dynamics",
-        "mbd_ros.core.laws": "mbd_ros.core.model.couplings",
+        "mbd_ros.core.laws": "mbd_ros.core.model.coupling_functions",
         "mbd_ros.core.live": "mbd_ros.methods.simulation",
         "mbd_ros.core.loops": "mbd_ros.methods.inverse_dynamics",
         "mbd_ros.core.manifold": "mbd_ros.methods.projection",

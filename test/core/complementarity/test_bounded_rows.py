@@ -15,7 +15,8 @@ from mbd_ros.core.dynamics.open_chain import Aba
 from mbd_ros.core.dynamics.tiers import build_system, tier_of
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.couplings import Coupling, Couplings, Linear
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.optimization.box_qp import complementarity_residual
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout

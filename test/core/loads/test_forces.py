@@ -8,7 +8,8 @@ import pytest
 from places import ROOT
 
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
-from mbd_ros.core.model.couplings import Coupling, Couplings, Polynomial
+from mbd_ros.core.model.coupling_functions import Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError

@@ -5,15 +5,14 @@ import pytest
 from places import ROOT
 from scipy.interpolate import CubicSpline, PPoly
 
-from mbd_ros.core.model.couplings import (
-    Coupling,
-    Couplings,
+from mbd_ros.core.model.coupling_functions import (
     Harmonic,
     PiecewisePolynomial,
     Polynomial,
     natural_cubic_spline,
     simm_spline,
 )
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.errors import ModelError
 

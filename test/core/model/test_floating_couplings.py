@@ -6,7 +6,8 @@ import pytest
 
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.couplings import Coupling, Couplings, Linear
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.methods.integration.linear_motion import linear_motion

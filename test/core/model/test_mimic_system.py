@@ -10,7 +10,8 @@ from mbd_ros.core.dynamics import tiers
 from mbd_ros.core.dynamics.reduced import Mimic, Reduced, mimic_model
 from mbd_ros.core.dynamics.tiers import build_system
 from mbd_ros.core.loads.loads import Loads
-from mbd_ros.core.model.couplings import Coupling, Couplings, Linear, Polynomial
+from mbd_ros.core.model.coupling_functions import Linear, Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.parts.forces.joint_spring import JointSpring

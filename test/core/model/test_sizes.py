@@ -13,7 +13,7 @@ from fuzz import tables, urdf
 from fuzz.trial import Case, behaves
 
 from mbd_ros import cli
-from mbd_ros.core.model.couplings import natural_cubic_spline
+from mbd_ros.core.model.coupling_functions import natural_cubic_spline
 from mbd_ros.core.model.urdf import MAX_JOINTS
 from mbd_ros.errors import DataError
 from mbd_ros.files.tables.csv import MAX_CELLS, read_table, write_table

@@ -9,7 +9,8 @@ import pytest
 from places import ROOT
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.model.couplings import Coupling, Couplings, Linear, Polynomial
+from mbd_ros.core.model.coupling_functions import Linear, Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.rows.constraint import Level, Row, box, drive, unilateral
 from mbd_ros.core.rows.coupling_rows import CouplingRows

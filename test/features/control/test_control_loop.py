@@ -5,7 +5,8 @@ import pytest
 from mechanisms import chain, double_pendulum
 from systems import free_system
 
-from mbd_ros.core.model.couplings import Coupling, Couplings, Linear, Polynomial
+from mbd_ros.core.model.coupling_functions import Linear, Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError

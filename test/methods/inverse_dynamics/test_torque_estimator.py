@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from places import ROOT
 
-from mbd_ros.core.model.couplings import Coupling, Couplings, Polynomial
+from mbd_ros.core.model.coupling_functions import Polynomial
+from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator, Tuning

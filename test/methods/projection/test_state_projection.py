@@ -5,7 +5,8 @@ import pytest
 import qpsolvers
 from state_projection import ARM, FOUR_BAR, LEG, measured, nearest_in_z, projector
 
-from mbd_ros.core.model.couplings import CoupledPair, Linear, Polynomial
+from mbd_ros.core.model.coupling_functions import Linear, Polynomial
+from mbd_ros.core.model.couplings import CoupledPair
 from mbd_ros.core.optimization.box_qp import Statistics
 from mbd_ros.core.optimization.lcp import ComplementarityProblem
 from mbd_ros.errors import SolveError

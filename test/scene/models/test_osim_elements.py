@@ -26,7 +26,7 @@ from osim_models import (
 )
 
 from mbd_ros.api import scene_from
-from mbd_ros.core.model.couplings import simm_spline
+from mbd_ros.core.model.coupling_functions import simm_spline
 from mbd_ros.scene.models.urdf_text import roll_pitch_yaw
 
 KINDS = {

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.couplings import Linear
+from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.rows.constraint import Constraint, Kind
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SceneError

@@ -17,7 +17,8 @@ import numpy as np
 
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.kinematics.sampled_kinematics import SampledKinematics, carriers
-from mbd_ros.core.model.couplings import CouplingFunction, Couplings
+from mbd_ros.core.model.coupling_functions import CouplingFunction
+from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.state import Array, State
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.kinematics.sampled_kinematics import SampledKinematics
-from mbd_ros.core.model.couplings import CouplingFunction
+from mbd_ros.core.model.coupling_functions import CouplingFunction
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.state import Array, State

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.features.identification.job import run_identify

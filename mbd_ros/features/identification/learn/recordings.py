@@ -5,7 +5,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.features.identification.learn.scales import Samples

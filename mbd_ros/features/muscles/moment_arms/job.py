@@ -5,7 +5,7 @@ from pathlib import Path as File
 import numpy as np
 
 from mbd_ros.core.kinematics.paths.paths import Path, PathBatch, PathSamples
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
 from mbd_ros.files.output_file import check_place, refuse_overwriting
