@@ -1,9 +1,14 @@
-"""What a part of a scene is: forces, constraints, sensors and what they show.
+"""What a part of a scene is: the contracts of loads, actuators and sensors, and what they show.
 
 A part binds points and frames while it is built and asks the kinematics k for them at a state; it
 never changes its inputs, and keeps no memory of earlier states. Positions are counted from
 `Robot.origin`.
+
+Methods of parts take the kinematics `k` at the state, refreshed as far as the `reads` of the part
+says, the state `x` of all joints, with internal states inside their bounds, and all inputs `u`.
 """
+
+from __future__ import annotations
 
 import math
 import re
@@ -18,123 +23,84 @@ from mbd_ros.core.model.points import Point
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import ModelError
 
-# ---- outputs ----------------------------------------------------------------------------------
-# What parts show: quantities with name and unit, asked for at samples only.
-
-
 Value = float | Array
 
 
-class Kind(Enum):
-    """What a quantity is made of: the words for its numbers, empty where it is one.
-
-    Wrenches and cones are drawn: what they are made of are numbers of the part already.
-    """
-
-    SCALAR = ("",)
-    VECTOR = ("x", "y", "z")
-    WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")  # force, then torque about `at`
-    POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
-    PLACED_WRENCH = ("x", "y", "z", *WRENCH)  # where it acts, less `Robot.origin`; torque there
-    FRICTION_CONE = ("x", "y", "z", "fx", "fy", "fz", "mu")  # tip, the normal force, coefficient
-
-
-class Output(NamedTuple):
-    """A quantity that a part shows.
+class Part:
+    """What a scene is made of.
 
     Attributes:
-        name: Unique in the part, without a dot; columns and messages put the name of the part
-            before it.
-        unit: Empty for pure numbers; of a wrench those of force and torque.
-        kind: A number, or how many.
-        frame: In whose axes it stands, empty for scalars and for axes of the world; of a wrench
-            the link on which it acts, itself in axes of the world.
-        at: Where a wrench of `Kind.WRENCH` acts.
+        name: Unique in the scene, without a dot; the type of a part that no scene has built.
+        reads: What its methods read of k at most.
+        inputs: What it takes from outside while it runs.
+        internal: Its states besides q and v, which `rates` moves.
+        guards: Numbers whose zeros are events, see `guard_values`.
+        outputs: What it shows besides the multipliers of its rows.
+        u: Its inputs in the u of the scene; all of u until it is bound.
+        z: Its internal states in the z of a state; all of z until it is bound.
     """
 
-    name: str
-    unit: str
-    kind: Kind = Kind.SCALAR
-    frame: str = ""
-    at: Point | None = None
+    name: str = ""
+    reads: Reads = Reads.NOTHING
+    inputs: tuple[Channel, ...] = ()
+    internal: tuple[Internal, ...] = ()
+    guards: tuple[Guard, ...] = ()
+    outputs: tuple[Output, ...] = ()
+    u: slice = slice(None)
+    z: slice = slice(None)
 
-    @property
-    def is_drawn(self) -> bool:
-        """Whether it has no columns, but an arrow or a cone."""
-        return self.kind in _DRAWN
+    def __init_subclass__(cls, **more: Any) -> None:
+        super().__init_subclass__(**more)
+        cls.name = type_name(cls)
 
+    def bind(self, slots: Slots) -> None:
+        """Learn where its numbers stand; once, when all parts are known."""
+        self.u, self.z = slots
 
-_DRAWN = (Kind.WRENCH, Kind.PLACED_WRENCH, Kind.FRICTION_CONE)
+    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Rates of `internal`, in their order, shape (len(internal),)."""
+        raise NotImplementedError
 
+    def balance(self, k: Kinematics, x: State, u: Array, w: Array) -> Array:
+        """What is zero where w are the rates, in their units, shape (len(internal),).
 
-class Now(NamedTuple):
-    """What a part may show of an evaluation.
+        A part whose rates solve an equation states that equation instead, for collocation.
 
-    Attributes:
-        a: Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,).
-        lam: Multipliers of the own rows of the part, shape (m,).
-        reactions: Wrench of the parent of every joint on its child [N, N·m], about the origin and
-            in the axes of the joint on the child, in the order of `Robot.joints`, shape (n, 6);
-            None where nobody asked for them.
-    """
+        Args:
+            k: Kinematics.
+            x: State.
+            u: Inputs.
+            w: Rates of `internal`.
+        """
+        return w - self.rates(k, x, u)
 
-    a: Array
-    lam: Array
-    reactions: Array | None = None
+    def at_rest(self, k: Kinematics, x: State, u: Array) -> Array | None:
+        """Values of `internal` at which their rates are 0, for a start at equilibrium.
 
+        In x, internal states that are given keep their values, others are NaN.
 
-class FrictionCone(NamedTuple):
-    """The forces that a contact can exert, as far as its normal force.
+        Returns:
+            All of them, in their order; None where the part does not know them: they are looked
+            for then.
+        """
+        return None
 
-    Attributes:
-        point: Its tip, in the world less `Robot.origin` [m], shape (3,).
-        normal: The normal force: axis and height, in world axes [N], shape (3,).
-        mu: Coefficient of friction: its radius is mu times its height.
-    """
+    def guard_values(self, k: Kinematics, x: State, u: Array, now: Now) -> Array:
+        """Values of `guards`, in their order, shape (len(guards),)."""
+        raise NotImplementedError
 
-    point: Array
-    normal: Array
-    mu: float
+    def reset(self, k: Kinematics, x: State, u: Array) -> State:
+        """The state of all joints after a guard of the part was zero; the same one by default."""
+        return x
 
-
-def exerted_on(link: Point, at: Point | None) -> Output:
-    """A wrench on a link.
-
-    Args:
-        link: Any point of it.
-        at: Where the wrench acts; None where the part says that with every value.
-    """
-    name = f"on_{link.frame.replace('.', '_')}"
-    kind = Kind.PLACED_WRENCH if at is None else Kind.WRENCH
-    return Output(name, "N, N·m", kind, link.frame, at)
-
-
-# ---- names ------------------------------------------------------------------------------------
-# Names of parts and of what they show.
+    def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
+        """Values of `outputs`, in their order; asked for at samples only."""
+        return ()
 
 
 def type_name(kind: type) -> str:
     """Type as scenes write it: `joint_spring` of JointSpring."""
     return re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "_", kind.__name__).lower()
-
-
-def label(part: Any, quantity: str) -> str:
-    """Quantity of a part as columns, topics and messages call it.
-
-    Args:
-        part: Has a name, or an empty one where the quantity says it all.
-        quantity: Its name in the part.
-    """
-    return f"{part.name}.{quantity}" if part.name else quantity
-
-
-def without_multiplier(label: str) -> str:
-    """Name on topics of joint states, where a coupling goes by its dependent joint."""
-    return label.removesuffix(".multiplier")
-
-
-# ---- parts ------------------------------------------------------------------------------------
-# Contracts of the parts of a scene.
 
 
 class Channel(NamedTuple):
@@ -205,101 +171,6 @@ class Slots(NamedTuple):
     internal: slice
 
 
-class Part:
-    """What a scene is made of.
-
-    Attributes:
-        name: Unique in the scene, without a dot; the type of a part that no scene has built.
-        reads: What its methods read of k at most.
-        inputs: What it takes from outside while it runs.
-        internal: Its states besides q and v, which `rates` moves.
-        guards: Numbers whose zeros are events, see `guard_values`.
-        outputs: What it shows besides the multipliers of its rows.
-        u: Its inputs in the u of the scene; all of u until it is bound.
-        z: Its internal states in the z of a state; all of z until it is bound.
-    """
-
-    name: str = ""
-    reads: Reads = Reads.NOTHING
-    inputs: tuple[Channel, ...] = ()
-    internal: tuple[Internal, ...] = ()
-    guards: tuple[Guard, ...] = ()
-    outputs: tuple[Output, ...] = ()
-    u: slice = slice(None)
-    z: slice = slice(None)
-
-    def __init_subclass__(cls, **more: Any) -> None:
-        super().__init_subclass__(**more)
-        cls.name = type_name(cls)
-
-    def bind(self, slots: Slots) -> None:
-        """Learn where its numbers stand; once, when all parts are known."""
-        self.u, self.z = slots
-
-    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Rates of `internal`, in their order, shape (len(internal),).
-
-        Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
-            x: State of all joints; internal states are inside their bounds.
-            u: All inputs.
-        """
-        raise NotImplementedError
-
-    def balance(self, k: Kinematics, x: State, u: Array, w: Array) -> Array:
-        """What is zero where w are the rates, in their units, shape (len(internal),).
-
-        A part whose rates solve an equation states that equation instead, for collocation.
-
-        Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
-            x: State of all joints; internal states are inside their bounds.
-            u: All inputs.
-            w: Rates of `internal`.
-        """
-        return w - self.rates(k, x, u)
-
-    def at_rest(self, k: Kinematics, x: State, u: Array) -> Array | None:
-        """Values of `internal` at which their rates are 0, for a start at equilibrium.
-
-        Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
-            x: State of all joints; internal states that are given keep their values, others are
-                NaN.
-            u: All inputs.
-
-        Returns:
-            All of them, in their order; None where the part does not know them: they are looked
-            for then.
-        """
-        return None
-
-    def guard_values(self, k: Kinematics, x: State, u: Array, now: Now) -> Array:
-        """Values of `guards`, in their order, shape (len(guards),); arguments as for `show`."""
-        raise NotImplementedError
-
-    def reset(self, k: Kinematics, x: State, u: Array) -> State:
-        """The state of all joints after a guard of the part was zero; the same one by default.
-
-        Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
-            x: State of all joints.
-            u: All inputs.
-        """
-        return x
-
-    def show(self, k: Kinematics, x: State, u: Array, now: Now) -> Sequence[Value]:
-        """Values of `outputs`, in their order; asked for at samples only.
-
-        Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
-            x: State of all joints.
-            u: All inputs.
-            now: Accelerations, and the multipliers of the own rows.
-        """
-        return ()
-
-
 class Load(Part):
     """A generalized force that depends on a state and on inputs, never on accelerations.
 
@@ -343,7 +214,7 @@ class Load(Part):
         """
         return None
 
-    def beside(self, k: Kinematics, x: State) -> "Load":
+    def beside(self, k: Kinematics, x: State) -> Load:
         """The force near a state, smooth across the surfaces at which it jumps."""
         return self
 
@@ -351,7 +222,7 @@ class Load(Part):
         """Energy that it stores [J], by what is conservative in its force and by its states."""
         return 0.0
 
-    def wrenches(self, k: Kinematics, x: State, u: Array) -> "tuple[Wrench, ...]":
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
         """Wrenches on bodies; empty for a force in joints, between parent and child."""
         return ()
 
@@ -386,7 +257,7 @@ class Actuator(Load):
         Args:
             torque: Of `joints` [N·m or N], shape (len(joints),). Losses and limits of the actuator
                 are not compensated.
-            x: State.
+            x: State of all joints.
         """
         return torque
 
@@ -395,44 +266,12 @@ class Actuator(Load):
 
         The force of them is that torque again, unless it is beyond a limit. For recordings: live,
         noise of the velocity would come back as force.
-
-        Args:
-            torque: Of `joints` [N·m or N], shape (len(joints),).
-            x: State.
         """
         return self.command(torque, x)
 
     def limits(self) -> Array:
         """Largest torque of each of `joints` [N·m or N], shape (len(joints),), inf without."""
         return np.full(len(self.joints), math.inf)
-
-
-class Wrench(NamedTuple):
-    """Wrench of a constraint on one body.
-
-    Attributes:
-        frame: The link.
-        point: Where the force acts, in the world less `Robot.origin` [m], shape (3,).
-        force: In world axes [N], shape (3,).
-        torque: About `point`, in world axes [N·m], shape (3,).
-    """
-
-    frame: str
-    point: Array
-    force: Array
-    torque: Array
-
-    @property
-    def numbers(self) -> Array:
-        """Force, then torque, as an output shows them, shape (6,)."""
-        return np.concatenate((self.force, self.torque))
-
-
-# ---- sensor -----------------------------------------------------------------------------------
-# Contract of sensors: what of a mechanism is measured.
-#
-# The same sensors serve a simulator (with noise), marker kinematics and estimators: a sensor says
-# what an exact measurement would be, how that changes with the state, and how noisy it is.
 
 
 class Measures(IntEnum):
@@ -446,6 +285,9 @@ class Measures(IntEnum):
 
 class Sensor(Part):
     """What of a mechanism is measured; it has no influence on the motion.
+
+    A sensor says what an exact measurement would be, how that changes with the state, and how
+    noisy it is. The same sensors serve a simulator, marker kinematics and estimators.
 
     Attributes:
         level: What a measurement depends on at most.
@@ -475,20 +317,14 @@ class Sensor(Part):
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
         """An exact measurement, shape (n,) of as many components.
 
-        Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
-            x: State of all joints.
-            now: Accelerations and multipliers; needed from `Measures.ACCELERATION` on, with
-                reactions for `Measures.FORCE`.
+        `now` is needed from `Measures.ACCELERATION` on, with reactions for `Measures.FORCE`.
         """
         raise NotImplementedError
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """Derivative by q, v or a, whichever `level` says, shape (n, nv); not asked for forces.
 
-        Args:
-            k: Kinematics at the state, refreshed to Jacobians.
-            x: State of all joints.
+        k is refreshed to Jacobians.
         """
         raise NotImplementedError
 
@@ -513,11 +349,7 @@ class Sensor(Part):
 
 
 def reactions_of(sensor: Sensor, now: Now | None) -> Array:
-    """Reactions of all joints, as `Now.reactions`.
-
-    Raises:
-        ModelError: They are not given.
-    """
+    """Reactions of all joints, as `Now.reactions`; a ModelError where they are not given."""
     if now is None or now.reactions is None:
         raise ModelError(f"{sensor.name} needs reactions of joints, and none are known")
     return now.reactions
@@ -532,14 +364,128 @@ def specific_force(
         sensor: Who asks, for the message.
         k: Kinematics at the state, refreshed to drifts.
         point: Where it is.
-        now: Accelerations.
+        now: Accelerations; a ModelError without them.
         gravity: In the world [m/s^2], shape (3,).
-
-    Raises:
-        ModelError: Accelerations are not given.
     """
     if now is None:
         raise ModelError(f"{sensor.name} needs accelerations, and none are known")
     moved = k.jacobian(point).dot(now.a) + k.acceleration(point)
     felt: Array = k.rotation(point).T.dot(moved - gravity)
     return felt
+
+
+class Kind(Enum):
+    """What a quantity is made of: the words for its numbers, empty where it is one.
+
+    Wrenches and cones are drawn: what they are made of are numbers of the part already.
+    """
+
+    SCALAR = ("",)
+    VECTOR = ("x", "y", "z")
+    WRENCH = ("fx", "fy", "fz", "mx", "my", "mz")  # force, then torque about `at`
+    POSE = ("x", "y", "z", "qx", "qy", "qz", "qw")
+    PLACED_WRENCH = ("x", "y", "z", *WRENCH)  # where it acts, less `Robot.origin`; torque there
+    FRICTION_CONE = ("x", "y", "z", "fx", "fy", "fz", "mu")  # tip, the normal force, coefficient
+
+
+class Output(NamedTuple):
+    """A quantity that a part shows.
+
+    Attributes:
+        name: Unique in the part, without a dot; columns and messages put the name of the part
+            before it.
+        unit: Empty for pure numbers; of a wrench those of force and torque.
+        kind: A number, or how many.
+        frame: In whose axes it stands, empty for scalars and for axes of the world; of a wrench
+            the link on which it acts, itself in axes of the world.
+        at: Where a wrench of `Kind.WRENCH` acts.
+    """
+
+    name: str
+    unit: str
+    kind: Kind = Kind.SCALAR
+    frame: str = ""
+    at: Point | None = None
+
+    @property
+    def is_drawn(self) -> bool:
+        """Whether it has no columns, but an arrow or a cone."""
+        return self.kind in (Kind.WRENCH, Kind.PLACED_WRENCH, Kind.FRICTION_CONE)
+
+
+class Now(NamedTuple):
+    """What a part may show of an evaluation.
+
+    Attributes:
+        a: Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,).
+        lam: Multipliers of the own rows of the part, shape (m,).
+        reactions: Wrench of the parent of every joint on its child [N, N·m], about the origin and
+            in the axes of the joint on the child, in the order of `Robot.joints`, shape (n, 6);
+            None where nobody asked for them.
+    """
+
+    a: Array
+    lam: Array
+    reactions: Array | None = None
+
+
+def label(part: Any, quantity: str) -> str:
+    """Quantity of a part as columns, topics and messages call it.
+
+    Args:
+        part: Has a name, or an empty one where the quantity says it all.
+        quantity: Its name in the part.
+    """
+    return f"{part.name}.{quantity}" if part.name else quantity
+
+
+def without_multiplier(label: str) -> str:
+    """Name on topics of joint states, where a coupling goes by its dependent joint."""
+    return label.removesuffix(".multiplier")
+
+
+class FrictionCone(NamedTuple):
+    """The forces that a contact can exert, as far as its normal force.
+
+    Attributes:
+        point: Its tip, in the world less `Robot.origin` [m], shape (3,).
+        normal: The normal force: axis and height, in world axes [N], shape (3,).
+        mu: Coefficient of friction: its radius is mu times its height.
+    """
+
+    point: Array
+    normal: Array
+    mu: float
+
+
+def exerted_on(link: Point, at: Point | None) -> Output:
+    """A wrench on a link.
+
+    Args:
+        link: Any point of it.
+        at: Where the wrench acts; None where the part says that with every value.
+    """
+    name = f"on_{link.frame.replace('.', '_')}"
+    kind = Kind.PLACED_WRENCH if at is None else Kind.WRENCH
+    return Output(name, "N, N·m", kind, link.frame, at)
+
+
+class Wrench(NamedTuple):
+    """Wrench of a constraint on one body.
+
+    Attributes:
+        frame: The link.
+        point: Where the force acts, in the world less `Robot.origin` [m], shape (3,).
+        force: In world axes [N], shape (3,).
+        torque: About `point`, in world axes [N·m], shape (3,).
+    """
+
+    frame: str
+    point: Array
+    force: Array
+    torque: Array
+
+    @property
+    def numbers(self) -> Array:
+        """Force, then torque, as an output shows them, shape (6,)."""
+        return np.concatenate((self.force, self.torque))

@@ -1,4 +1,4 @@
-"""Values that flow between parts and methods: states, memories, arrays of vectors."""
+"""Values that flow between parts and methods: states, motions, and what steppers remember."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -6,22 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-# ---- state ------------------------------------------------------------------------------------
-# The values that flow between the parts.
-
-
 Array = NDArray[np.float64]
 NANOSECOND = 1.0e-9  # s
-
-
 Mode = tuple[int, ...]
+Memory = dict[str, Any]  # what is remembered from step to step, to be kept and pickled
 NONE: Array = np.zeros(0)
 NONE.setflags(write=False)
-
-
-def is_symbol(value: object) -> bool:
-    """Whether a number is an expression, as in a system that is traced."""
-    return hasattr(value, "piecewise")
 
 
 class State(NamedTuple):
@@ -118,13 +108,6 @@ class WrenchSamples(NamedTuple):
     frame_id: str = ""
 
 
-# ---- memory -----------------------------------------------------------------------------------
-# What is remembered from step to step, as a value that can be kept and pickled.
-
-
-Memory = dict[str, Any]
-
-
 def copied(value: Any) -> Any:
     """A value with arrays of its own, in tuples too."""
     if isinstance(value, np.ndarray):
@@ -134,6 +117,11 @@ def copied(value: Any) -> Any:
     if isinstance(value, tuple):
         return _like(value)(map(copied, value))
     return value
+
+
+def _like(value: Any) -> Any:
+    """What makes a tuple, or a named one, of the same kind."""
+    return getattr(type(value), "_make", tuple)
 
 
 def recognised(value: Any, x: State) -> Any:
@@ -155,6 +143,6 @@ def is_same(one: State, other: State) -> bool:
     )
 
 
-def _like(value: Any) -> Any:
-    """What makes a tuple, or a named one, of the same kind."""
-    return getattr(type(value), "_make", tuple)
+def is_symbol(value: object) -> bool:
+    """Whether a number is an expression, as in a system that is traced."""
+    return hasattr(value, "piecewise")

@@ -5,6 +5,8 @@ Gottschalk, M. Lin, D. Manocha, OBBTree, SIGGRAPH 1996, for the axes; the corner
 that two faces share are vertices of one face over the other, or crossings of their edges.
 """
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,26 +27,6 @@ from mbd_ros.core.state import Array
 _ACROSS = 0.1  # sine of the angle of two edges from which their crossing has a normal of its own
 _OTHERS = ((1, 2), (2, 0), (0, 1))  # axes of a face
 _EDGES = np.array(((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0)))  # along which, on which side
-
-
-class Faces(NamedTuple):
-    """Which faces of two boxes face each other.
-
-    Attributes:
-        axis_a: Of the face of the moving box.
-        sign_a: 1 or -1, on which side of it.
-        axis_b: Of the face of the resting one.
-        sign_b: 1 or -1.
-        normal: Separating direction out of the resting box, shape (3,).
-        apart: Distance along it, negative where the boxes overlap [m].
-    """
-
-    axis_a: int
-    sign_a: float
-    axis_b: int
-    sign_b: float
-    normal: Array
-    apart: float
 
 
 class BoxOnBox(Meeting):
@@ -220,3 +202,23 @@ def _clipped(start: Array, along: Array, half: Array, axis: int) -> tuple[Array,
     missed = (share[:, 0].real >= share[:, 1].real)[:, None]
     share = np.where(missed, -1.0e3, share)
     return share.ravel(), np.stack((first, last), axis=1).ravel()
+
+
+class Faces(NamedTuple):
+    """Which faces of two boxes face each other.
+
+    Attributes:
+        axis_a: Of the face of the moving box.
+        sign_a: 1 or -1, on which side of it.
+        axis_b: Of the face of the resting one.
+        sign_b: 1 or -1.
+        normal: Separating direction out of the resting box, shape (3,).
+        apart: Distance along it, negative where the boxes overlap [m].
+    """
+
+    axis_a: int
+    sign_a: float
+    axis_b: int
+    sign_b: float
+    normal: Array
+    apart: float

@@ -7,6 +7,8 @@ friction about the normal. Source: P. Sardain, G. Bessonnet, Forces acting on a 
 Center of pressure - zero moment point, IEEE Trans. SMC A 34, 2004, sec. II.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -24,40 +26,6 @@ from mbd_ros.core.state import Array, State
 OPEN, SLIP, STICK = 0.0, 1.0, 2.0
 _AT_BOUND = 1.0 - 1.0e-9  # of the largest friction: from here on it slips
 _PRESSED = 1.0e-6  # of the largest force of a contact: a feature with less decides nothing
-
-
-def force_names(features: Sequence[str]) -> list[str]:
-    """What the forces of a contact are called, three a feature, in the order of its rows."""
-    parts = [""] if len(features) == 1 else [f"{feature}_" for feature in features]
-    words = ("normal", "friction_x", "friction_y")
-    return [f"{part}{word}" for part in parts for word in words]
-
-
-class Resultant(NamedTuple):
-    """The forces of all features on a, in world axes.
-
-    Attributes:
-        centre: Centre of pressure; the nearest feature where nothing presses. In the world less
-            `Robot.origin` [m], shape (3,).
-        force: [N], shape (3,).
-        torque: About the centre [N·m], shape (3,).
-        normal: The part of the force along the normals [N], shape (3,).
-    """
-
-    centre: Array
-    force: Array
-    torque: Array
-    normal: Array
-
-
-def _arrows(a: Point, b: Point) -> tuple[Output, Output]:
-    """The wrenches on both bodies; what is at rest is called world where no body has that name."""
-    on_a, on_b = exerted_on(a, None), exerted_on(b, None)
-    if b.frame == "universe" and on_a.name != "on_world":
-        return on_a, on_b._replace(name="on_world")
-    if a.frame == "universe" and on_b.name != "on_world":
-        return on_a._replace(name="on_world"), on_b
-    return on_a, on_b
 
 
 class ContactShow:
@@ -153,3 +121,37 @@ class ContactShow:
         each = np.matmul(axes, forces[:, [1, 2, 0], None])[:, :, 0]
         torque = cross(point - centre, each).sum(axis=0)
         return Resultant(centre, each.sum(axis=0), torque, normal.dot(axes[:, :, 2]))
+
+
+def force_names(features: Sequence[str]) -> list[str]:
+    """What the forces of a contact are called, three a feature, in the order of its rows."""
+    parts = [""] if len(features) == 1 else [f"{feature}_" for feature in features]
+    words = ("normal", "friction_x", "friction_y")
+    return [f"{part}{word}" for part in parts for word in words]
+
+
+def _arrows(a: Point, b: Point) -> tuple[Output, Output]:
+    """The wrenches on both bodies; what is at rest is called world where no body has that name."""
+    on_a, on_b = exerted_on(a, None), exerted_on(b, None)
+    if b.frame == "universe" and on_a.name != "on_world":
+        return on_a, on_b._replace(name="on_world")
+    if a.frame == "universe" and on_b.name != "on_world":
+        return on_a._replace(name="on_world"), on_b
+    return on_a, on_b
+
+
+class Resultant(NamedTuple):
+    """The forces of all features on a, in world axes.
+
+    Attributes:
+        centre: Centre of pressure; the nearest feature where nothing presses. In the world less
+            `Robot.origin` [m], shape (3,).
+        force: [N], shape (3,).
+        torque: About the centre [N·m], shape (3,).
+        normal: The part of the force along the normals [N], shape (3,).
+    """
+
+    centre: Array
+    force: Array
+    torque: Array
+    normal: Array

@@ -6,6 +6,8 @@ are features. Source of coal's search: E. Gilbert, D. Johnson, S. Keerthi, A fas
 computing the distance between complex objects, IEEE J. Robot. Autom. 4, 1988.
 """
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Iterator
 from typing import Any, NamedTuple
@@ -27,119 +29,14 @@ from mbd_ros.core.kinematics.vectors import cross, dot, lengths
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
 
-# ---- convex -----------------------------------------------------------------------------------
-# A convex body with flat faces on another one: the region that two faces share.
-
-
-# Outlines of two faces that face each other, and what they share.
-
 STRAIGHT = 1.0e-9  # sine of the angle of lines that do not cross
 _ACROSS = 0.1  # sine of the angle of two edges from which their crossing has a normal of its own
 _CORNERS = np.array(((1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)))
-
-
-def inside(points: Array, outline: Array, up: Array, beside: float) -> NDArray[np.bool_]:
-    """Which points are inside an outline, seen along a direction, or so far beside it."""
-    along = np.roll(outline, -1, axis=0) - outline
-    inward = cross(up, along.real)
-    length = lengths(inward)
-    some = length > 0.0
-    if not some.any():  # so far away that its corners are one
-        return np.zeros(len(points), dtype=bool)
-    inward = inward[some] / length[some, None]
-    depth = points.real @ inward.T - dot(outline.real[some], inward)
-    inside: NDArray[np.bool_] = depth.min(axis=1) >= -beside
-    return inside
-
-
-def crossings(
-    outline: Array, base: Array, up: Array, normal: Array, beside: float
-) -> tuple[Array, Array, Array]:
-    """Where edges of one outline pass over those of another.
-
-    Args:
-        outline: Corners of the face of a, shape (m, 3).
-        base: Those of the face of b.
-        up: Normal of the face of b, shape (3,).
-        normal: That of edges that are nearly parallel.
-        beside: Shortest way from their ends [m].
-
-    Returns:
-        Gaps, points on a and normals, of n crossings.
-    """
-    (outline, along), (base, edge) = _edges(outline), _edges(base)
-    offset = base[None] - outline[:, None]
-    across = cross(along[:, None], edge[None]) @ up
-    long, wide = lengths(along.real)[:, None], lengths(edge.real)[None]
-    is_crossing = np.abs(across.real) > np.maximum(STRAIGHT * long, beside) * wide
-    safe = np.where(is_crossing, across, 1.0)
-    own = (cross(offset, edge[None]) @ up) / safe
-    other = (cross(offset, along[:, None]) @ up) / safe
-    is_crossing &= np.minimum(own.real, 1.0 - own.real) * long > beside
-    is_crossing &= np.minimum(other.real, 1.0 - other.real) * wide > beside
-    first, second = np.nonzero(is_crossing)
-    along, edge, start, end = along[first], edge[second], outline[first], base[second]
-    out = cross(along, edge)
-    length = lengths(out)
-    is_skew = length.real > _ACROSS * long[first, 0] * wide[0, second]
-    some = np.where(is_skew, length, 1.0)
-    sign = np.where(out.real @ normal < 0.0, -1.0, 1.0)
-    normals = np.where(is_skew[:, None], out * (sign / some)[:, None], normal)
-    exact = dot(end - start, cross(edge, out)) / some**2
-    points = start + np.where(is_skew, exact, own[first, second])[:, None] * along
-    below = np.where(is_skew[:, None], end, end + other[first, second][:, None] * edge)
-    return dot(points - below, normals), points, normals
-
-
-def _edges(ring: Array) -> tuple[Array, Array]:
-    """Where edges begin, and where they lead; two points have one."""
-    starts = ring[:1] if len(ring) == 2 else ring
-    return starts, np.roll(ring, -1, axis=0)[: len(starts)] - starts
-
-
-def extremes(corners: Array, up: Array) -> NDArray[np.intp]:
-    """What is farthest along the four directions between the tangents."""
-    tangents = nearest_bases(up[None])[0]
-    tangents = framed(up[None], tangents)[0, 1:]
-    flat = corners.real @ tangents.T @ _CORNERS.T
-    return np.argmax(flat, axis=0)
-
-
-_LOOKS = 2
+_LOOKS = 2  # of coal's search: as the bodies are, and a little farther apart
 _APART = 0.01  # of the smaller size: how far bodies are apart while coal looks at them
 _PARALLEL = 0.9  # cosine of the angle of faces that may share a region
 _SEARCHED = 1.0e-12  # where coal's search ends
 _SEEN = 1.0e-5  # of the smaller size: by how much the ends of an edge may be apart along a normal
-
-
-class Apart(NamedTuple):
-    """How two bodies are separated.
-
-    Attributes:
-        normal: Out of the resting body, shape (3,), real.
-        distance: Along it, negative where they overlap [m].
-        face_a: Face of the moving body that it is across, None where it is not.
-        face_b: Face of the resting one.
-    """
-
-    normal: Array
-    distance: float
-    face_a: int | None
-    face_b: int | None
-
-
-class Corners(NamedTuple):
-    """Corners of a region that two faces share.
-
-    Attributes:
-        gap: [m], shape (n,).
-        point: [m], shape (n, 3).
-        normal: Out of the resting body, shape (n, 3).
-    """
-
-    gap: Array
-    point: Array
-    normal: Array
 
 
 class ConvexOnConvex(Meeting):
@@ -279,6 +176,87 @@ class ConvexOnConvex(Meeting):
         return (point - base) @ normal, point, normal
 
 
+def _hull(body: Polyhedron) -> Any:
+    """The body as coal takes it, each face as a fan of triangles."""
+    if not body.faces:
+        return coal.Capsule(0.0, float(np.ptp(body.vertices[:, 2])))
+    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
+    for vertex in body.vertices:
+        points.append(vertex)
+    for face in body.faces:
+        first, *rest = face.tolist()
+        for second, third in itertools.pairwise(rest):
+            triangles.append(coal.Triangle(first, second, third))
+    return coal.Convex(points, triangles)
+
+
+def extremes(corners: Array, up: Array) -> NDArray[np.intp]:
+    """What is farthest along the four directions between the tangents."""
+    tangents = nearest_bases(up[None])[0]
+    tangents = framed(up[None], tangents)[0, 1:]
+    flat = corners.real @ tangents.T @ _CORNERS.T
+    return np.argmax(flat, axis=0)
+
+
+def inside(points: Array, outline: Array, up: Array, beside: float) -> NDArray[np.bool_]:
+    """Which points are inside an outline, seen along a direction, or so far beside it."""
+    along = np.roll(outline, -1, axis=0) - outline
+    inward = cross(up, along.real)
+    length = lengths(inward)
+    some = length > 0.0
+    if not some.any():  # so far away that its corners are one
+        return np.zeros(len(points), dtype=bool)
+    inward = inward[some] / length[some, None]
+    depth = points.real @ inward.T - dot(outline.real[some], inward)
+    inside: NDArray[np.bool_] = depth.min(axis=1) >= -beside
+    return inside
+
+
+def crossings(
+    outline: Array, base: Array, up: Array, normal: Array, beside: float
+) -> tuple[Array, Array, Array]:
+    """Where edges of one outline pass over those of another.
+
+    Args:
+        outline: Corners of the face of a, shape (m, 3).
+        base: Those of the face of b.
+        up: Normal of the face of b, shape (3,).
+        normal: That of edges that are nearly parallel.
+        beside: Shortest way from their ends [m].
+
+    Returns:
+        Gaps, points on a and normals, of n crossings.
+    """
+    (outline, along), (base, edge) = _edges(outline), _edges(base)
+    offset = base[None] - outline[:, None]
+    across = cross(along[:, None], edge[None]) @ up
+    long, wide = lengths(along.real)[:, None], lengths(edge.real)[None]
+    is_crossing = np.abs(across.real) > np.maximum(STRAIGHT * long, beside) * wide
+    safe = np.where(is_crossing, across, 1.0)
+    own = (cross(offset, edge[None]) @ up) / safe
+    other = (cross(offset, along[:, None]) @ up) / safe
+    is_crossing &= np.minimum(own.real, 1.0 - own.real) * long > beside
+    is_crossing &= np.minimum(other.real, 1.0 - other.real) * wide > beside
+    first, second = np.nonzero(is_crossing)
+    along, edge, start, end = along[first], edge[second], outline[first], base[second]
+    out = cross(along, edge)
+    length = lengths(out)
+    is_skew = length.real > _ACROSS * long[first, 0] * wide[0, second]
+    some = np.where(is_skew, length, 1.0)
+    sign = np.where(out.real @ normal < 0.0, -1.0, 1.0)
+    normals = np.where(is_skew[:, None], out * (sign / some)[:, None], normal)
+    exact = dot(end - start, cross(edge, out)) / some**2
+    points = start + np.where(is_skew, exact, own[first, second])[:, None] * along
+    below = np.where(is_skew[:, None], end, end + other[first, second][:, None] * edge)
+    return dot(points - below, normals), points, normals
+
+
+def _edges(ring: Array) -> tuple[Array, Array]:
+    """Where edges begin, and where they lead; two points have one."""
+    starts = ring[:1] if len(ring) == 2 else ring
+    return starts, np.roll(ring, -1, axis=0)[: len(starts)] - starts
+
+
 def _crossing(a: Array, b: Array, out: Array) -> tuple[Array, Array, Array] | None:
     """Gap, point on a and normal of two lines that cross; None where they are parallel."""
     along, edge = a[1] - a[0], b[1] - b[0]
@@ -304,15 +282,31 @@ def _way(a: Array, b: Array) -> tuple[Array, Array]:
     return way, a[0]
 
 
-def _hull(body: Polyhedron) -> Any:
-    """The body as coal takes it, each face as a fan of triangles."""
-    if not body.faces:
-        return coal.Capsule(0.0, float(np.ptp(body.vertices[:, 2])))
-    points, triangles = coal.StdVec_Vec3s(), coal.StdVec_Triangle()
-    for vertex in body.vertices:
-        points.append(vertex)
-    for face in body.faces:
-        first, *rest = face.tolist()
-        for second, third in itertools.pairwise(rest):
-            triangles.append(coal.Triangle(first, second, third))
-    return coal.Convex(points, triangles)
+class Apart(NamedTuple):
+    """How two bodies are separated.
+
+    Attributes:
+        normal: Out of the resting body, shape (3,), real.
+        distance: Along it, negative where they overlap [m].
+        face_a: Face of the moving body that it is across, None where it is not.
+        face_b: Face of the resting one.
+    """
+
+    normal: Array
+    distance: float
+    face_a: int | None
+    face_b: int | None
+
+
+class Corners(NamedTuple):
+    """Corners of a region that two faces share.
+
+    Attributes:
+        gap: [m], shape (n,).
+        point: [m], shape (n, 3).
+        normal: Out of the resting body, shape (n, 3).
+    """
+
+    gap: Array
+    point: Array
+    normal: Array

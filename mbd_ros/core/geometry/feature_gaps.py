@@ -10,6 +10,8 @@ Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with Unilateral Contacts, 19
 derivatives rho' and e' along the motion are those of `PairMotion.along`.
 """
 
+from __future__ import annotations
+
 import math
 from typing import Any, NamedTuple
 
@@ -20,84 +22,11 @@ from mbd_ros.core.kinematics.vectors import cross, dot
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array, is_symbol
 
-# ---- frames -----------------------------------------------------------------------------------
-# Cross products and contact frames of many features at once; complex numbers go, too.
-
-
 _OPPOSITE = 1.0e-12  # half the square of a sum of unit vectors that are opposite
 _CORNERS = np.stack([np.roll(np.eye(3), -axis, axis=0) for axis in range(3)])
 BASES = np.stack((_CORNERS, _CORNERS * np.array(((-1.0,), (1.0,), (-1.0,)))), axis=1)
 """Right-handed bases along the axes, rows: of axis i upwards and downwards, (3, 2, 3, 3)."""
-
-
-def directions(vectors: Array, length: Array, otherwise: Array) -> Array:
-    """Rows of length 1, shape (n, 3).
-
-    Args:
-        vectors: Shape (n, 3).
-        length: Their lengths, shape (n,).
-        otherwise: Direction of those without length, shape (3,) or (n, 3).
-    """
-    if is_symbol(length.flat[0]):  # where two points meet, expressions have no direction
-        symbolic: Array = vectors / length[:, None]
-        return symbolic
-    some = length.real > 0.0
-    return np.where(some[:, None], vectors / np.where(some, length, 1.0)[:, None], otherwise)
-
-
-def nearest_bases(normals: Array) -> Array:
-    """The bases along axes whose normals are nearest to directions, shape (n, 3, 3), rows.
-
-    Args:
-        normals: Any directions, shape (n, 3).
-    """
-    axis = np.argmax(np.abs(normals.real), axis=1)
-    is_down = normals.real[np.arange(len(normals)), axis] < 0.0
-    return BASES[axis, is_down.astype(np.intp)]
-
-
-def framed(normal: Array, basis: Array) -> Array:
-    """Normals and tangents, the basis turned by the smallest rotation, shape (n, 3, 3), rows.
-
-    Opposite to the normal of the basis tangents have no direction of their own.
-
-    Args:
-        normal: Shape (n, 3).
-        basis: Normal and tangents, rows, shape (3, 3), or one each, shape (n, 3, 3).
-    """
-    total = normal + basis[..., 0, :]
-    square = dot(total, total) / 2.0
-    is_traced = is_symbol(square.flat[0])
-    is_opposite = np.zeros(len(square), np.bool_) if is_traced else square.real < _OPPOSITE
-    share = dot(basis[..., 1:, :], normal[:, None])
-    share = share / np.where(is_opposite, 1.0, square)[:, None]
-    axes = np.empty((len(normal), 3, 3), dtype=total.dtype)
-    axes[:, 0] = normal
-    axes[:, 1:] = basis[..., 1:, :] - share[:, :, None] * total[:, None]
-    if is_opposite.any():
-        axes[is_opposite, 2] *= -1.0
-    return axes
-
-
-# ---- feature gaps -----------------------------------------------------------------------------
-# Features of one body over one shape of another: gaps, contact frames and their derivatives.
-
-
 _ALL = slice(0, 6)
-
-
-class Touch(NamedTuple):
-    """Where features touch, at one pose.
-
-    Attributes:
-        gap: Distances of the surfaces, negative where they overlap [m], shape (n,).
-        lever: From the origin of the moving body to the contact points [m], shape (n, 3).
-        axes: Normal out of the shape at rest, then both tangents, shape (n, 3, 3), rows.
-    """
-
-    gap: Array
-    lever: Array
-    axes: Array
 
 
 class Meeting:
@@ -160,6 +89,12 @@ class Meeting:
         return _rows(lever, axes).dot(seen.jacobian(placed, _ALL)), drift.ravel()
 
 
+def _rows(lever: Array, axes: Array) -> Array:
+    """From the velocity of the moving body to those of its features, shape (3 n, 6)."""
+    rows: Array = np.concatenate((axes, cross(lever[:, None], axes)), axis=2).reshape(-1, 6)
+    return rows
+
+
 def _unspun(axes: Array, rate: Array) -> Array:
     """Rates of axes without the spin about the normal, which is the first, shape (n, 3, 3)."""
     spin = np.einsum("nj,nj->n", rate[:, 1], axes[:, 2])[:, None]
@@ -167,7 +102,64 @@ def _unspun(axes: Array, rate: Array) -> Array:
     return np.stack((rate[:, 0], *tangents), axis=1)
 
 
-def _rows(lever: Array, axes: Array) -> Array:
-    """From the velocity of the moving body to those of its features, shape (3 n, 6)."""
-    rows: Array = np.concatenate((axes, cross(lever[:, None], axes)), axis=2).reshape(-1, 6)
-    return rows
+class Touch(NamedTuple):
+    """Where features touch, at one pose.
+
+    Attributes:
+        gap: Distances of the surfaces, negative where they overlap [m], shape (n,).
+        lever: From the origin of the moving body to the contact points [m], shape (n, 3).
+        axes: Normal out of the shape at rest, then both tangents, shape (n, 3, 3), rows.
+    """
+
+    gap: Array
+    lever: Array
+    axes: Array
+
+
+def directions(vectors: Array, length: Array, otherwise: Array) -> Array:
+    """Rows of length 1, shape (n, 3).
+
+    Args:
+        vectors: Shape (n, 3).
+        length: Their lengths, shape (n,).
+        otherwise: Direction of those without length, shape (3,) or (n, 3).
+    """
+    if is_symbol(length.flat[0]):  # where two points meet, expressions have no direction
+        symbolic: Array = vectors / length[:, None]
+        return symbolic
+    some = length.real > 0.0
+    return np.where(some[:, None], vectors / np.where(some, length, 1.0)[:, None], otherwise)
+
+
+def nearest_bases(normals: Array) -> Array:
+    """The bases along axes whose normals are nearest to directions, shape (n, 3, 3), rows.
+
+    Args:
+        normals: Any directions, shape (n, 3).
+    """
+    axis = np.argmax(np.abs(normals.real), axis=1)
+    is_down = normals.real[np.arange(len(normals)), axis] < 0.0
+    return BASES[axis, is_down.astype(np.intp)]
+
+
+def framed(normal: Array, basis: Array) -> Array:
+    """Normals and tangents, the basis turned by the smallest rotation, shape (n, 3, 3), rows.
+
+    Opposite to the normal of the basis tangents have no direction of their own.
+
+    Args:
+        normal: Shape (n, 3).
+        basis: Normal and tangents, rows, shape (3, 3), or one each, shape (n, 3, 3).
+    """
+    total = normal + basis[..., 0, :]
+    square = dot(total, total) / 2.0
+    is_traced = is_symbol(square.flat[0])
+    is_opposite = np.zeros(len(square), np.bool_) if is_traced else square.real < _OPPOSITE
+    share = dot(basis[..., 1:, :], normal[:, None])
+    share = share / np.where(is_opposite, 1.0, square)[:, None]
+    axes = np.empty((len(normal), 3, 3), dtype=total.dtype)
+    axes[:, 0] = normal
+    axes[:, 1:] = basis[..., 1:, :] - share[:, :, None] * total[:, None]
+    if is_opposite.any():
+        axes[is_opposite, 2] *= -1.0
+    return axes

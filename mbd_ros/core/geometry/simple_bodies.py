@@ -1,4 +1,8 @@
-"""Balls and cylinders over planes, balls, boxes and capsules, in closed form."""
+"""Balls and cylinders over planes, balls, boxes, capsules and meshes, in closed form.
+
+Gaps of balls over a plane and over balls are as smooth as the motion of the bodies. Over other
+solids they are the signed distances of the centres less the radii.
+"""
 
 from collections.abc import Callable
 from typing import Any
@@ -18,13 +22,14 @@ from mbd_ros.core.kinematics.vectors import cross, dot, lengths
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array, is_symbol
 
-# ---- spheres ----------------------------------------------------------------------------------
-# Balls over a plane and over balls, whose gaps are as smooth as the motion of the bodies.
-
-
 _ALL = slice(0, 6)
 _ORDER = [2, 0, 1]
 PLANE_AXES = np.eye(3)[_ORDER]  # normal, x and y of a plane
+BESIDE = 1.0e-6  # of the size of a face: how far beside it a point still counts as on it
+Distance = Callable[[Array], tuple[Array, Array]]
+"""Centres in the axes of a solid, shape (n, 3) -> signed distances and outward normals."""
+_UPRIGHT = 1.0e-9  # sine of a tilt below which no point of a rim is the lowest
+_AROUND = ("low", "left", "high", "right")
 
 
 class BallsOnPlane(Meeting):
@@ -141,15 +146,6 @@ class BallsOnBalls(Meeting):
         return Touch(length - self._sum, lever, framed(normal, self._basis))
 
 
-# ---- solids -----------------------------------------------------------------------------------
-# Balls over boxes, capsules and cylinders: signed distances of their centres.
-
-
-BESIDE = 1.0e-6  # of the size of a face: how far beside it a point still counts as on it
-Distance = Callable[[Array], tuple[Array, Array]]
-"""Centres in the axes of a solid, shape (n, 3) -> signed distances and outward normals."""
-
-
 class BallsOnSolid(Meeting):
     """Balls over a solid: g is the signed distance of the centre less the radius.
 
@@ -182,36 +178,6 @@ def _distance_to(solid: Box | Capsule | Cylinder | Mesh) -> tuple[Distance, str]
     if isinstance(solid, Mesh):
         return _to_mesh(solid.body, BESIDE * solid.body.size), "mesh"
     return _to_box(solid.sides / 2.0), "box"
-
-
-def _to_box(half: Array) -> Distance:
-    beside = BESIDE * float(half.max())
-    axes = np.arange(3)
-
-    def distance(centre: Array) -> tuple[Array, Array]:
-        sign = np.where(centre.real < 0.0, -1.0, 1.0)
-        beyond = sign * centre - half
-        outside = np.where(beyond.real > 0.0, beyond, 0.0)
-        far = lengths(outside)
-        # One face for all balls over it: some may be deeper in it than a side is near.
-        spread = np.concatenate((centre.real.min(axis=0), -centre.real.max(axis=0)))
-        face = int(np.argmax(spread - np.tile(half, 2)))
-        up, axis = (1.0 if face < len(half) else -1.0), face % len(half)
-        aside = lengths(outside[:, axes != axis])
-        on_face = (aside.real <= beside) & (up * centre[:, axis].real > -half[axis])
-        deepest = np.argmax(beyond.real, axis=1)
-        inner = np.zeros_like(sign)
-        rows = np.arange(len(centre))
-        inner[rows, deepest] = sign[rows, deepest]
-        is_inside = far.real == 0.0
-        gap = np.where(is_inside, beyond[rows, deepest], far)
-        normal = outside * sign / np.where(is_inside, 1.0, far)[:, None]
-        normal = np.where(is_inside[:, None], inner, normal)
-        flat = up * np.eye(3)[axis]
-        gap = np.where(on_face, up * centre[:, axis] - half[axis] + aside, gap)
-        return gap, np.where(on_face[:, None], flat, normal)
-
-    return distance
 
 
 def _to_capsule(radius: float, half: float) -> Distance:
@@ -306,12 +272,34 @@ def _to_mesh(body: Polyhedron, beside: float) -> Distance:
     return distance
 
 
-# ---- cylinder ---------------------------------------------------------------------------------
-# A cylinder over a plane: each rim touches with its lowest point and three more around it.
+def _to_box(half: Array) -> Distance:
+    beside = BESIDE * float(half.max())
+    axes = np.arange(3)
 
+    def distance(centre: Array) -> tuple[Array, Array]:
+        sign = np.where(centre.real < 0.0, -1.0, 1.0)
+        beyond = sign * centre - half
+        outside = np.where(beyond.real > 0.0, beyond, 0.0)
+        far = lengths(outside)
+        # One face for all balls over it: some may be deeper in it than a side is near.
+        spread = np.concatenate((centre.real.min(axis=0), -centre.real.max(axis=0)))
+        face = int(np.argmax(spread - np.tile(half, 2)))
+        up, axis = (1.0 if face < len(half) else -1.0), face % len(half)
+        aside = lengths(outside[:, axes != axis])
+        on_face = (aside.real <= beside) & (up * centre[:, axis].real > -half[axis])
+        deepest = np.argmax(beyond.real, axis=1)
+        inner = np.zeros_like(sign)
+        rows = np.arange(len(centre))
+        inner[rows, deepest] = sign[rows, deepest]
+        is_inside = far.real == 0.0
+        gap = np.where(is_inside, beyond[rows, deepest], far)
+        normal = outside * sign / np.where(is_inside, 1.0, far)[:, None]
+        normal = np.where(is_inside[:, None], inner, normal)
+        flat = up * np.eye(3)[axis]
+        gap = np.where(on_face, up * centre[:, axis] - half[axis] + aside, gap)
+        return gap, np.where(on_face[:, None], flat, normal)
 
-_UPRIGHT = 1.0e-9  # sine of a tilt below which no point of a rim is the lowest
-_AROUND = ("low", "left", "high", "right")
+    return distance
 
 
 class CylinderOnPlane(Meeting):
