@@ -67,9 +67,6 @@ class Part:
         A part whose rates solve an equation states that equation instead, for collocation.
 
         Args:
-            k: Kinematics.
-            x: State.
-            u: Inputs.
             w: Rates of `internal`.
         """
         return w - self.rates(k, x, u)
@@ -257,7 +254,6 @@ class Actuator(Load):
         Args:
             torque: Of `joints` [N·m or N], shape (len(joints),). Losses and limits of the actuator
                 are not compensated.
-            x: State of all joints.
         """
         return torque
 

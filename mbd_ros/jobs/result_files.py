@@ -17,7 +17,6 @@ def write_tables(result: Result, out: Path, say: Say) -> None:
     """Write all tables, `samples` to the given place.
 
     Args:
-        result: The tables.
         out: Its suffix chooses the format.
         say: Is told what went where, a line a file.
     """

@@ -37,8 +37,6 @@ class ContactShow:
     `centre_of_pressure` with `torque` about it, all in axes of the world.
 
     Args:
-        robot: The robot.
-        pair: The contact.
         friction: Coefficient, or one a feature.
 
     Attributes:

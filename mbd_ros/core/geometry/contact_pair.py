@@ -49,7 +49,6 @@ def contact_pair(robot: Robot, between: Between, margin: float = 0.0) -> Contact
     """The features of two bodies.
 
     Args:
-        robot: The robot.
         between: Both bodies.
         margin: Distance at which surfaces count as touching [m].
 

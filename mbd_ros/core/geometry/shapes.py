@@ -139,7 +139,6 @@ def balls_of(robot: Robot, side: Side, numbers: Sequence[int]) -> Balls:
     Vertex i of a box stands at +x where bit 0 of i is set, at +y for bit 1 and at +z for bit 2.
 
     Args:
-        robot: The robot.
         side: One of both bodies.
         numbers: Which of its shapes: spheres, points, boxes, capsules and meshes.
     """

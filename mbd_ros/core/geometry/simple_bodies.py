@@ -37,7 +37,6 @@ class BallsOnPlane(Meeting):
 
     Args:
         pair: The half space, as the observer, and the body with the balls.
-        balls: The balls.
     """
 
     def __init__(self, pair: Pair, balls: Balls) -> None:
@@ -151,7 +150,6 @@ class BallsOnSolid(Meeting):
 
     Args:
         pair: The solid, as the observer, and the body with the balls.
-        balls: The balls.
         solid: What they are over, centred at the origin of the observer.
     """
 

@@ -41,7 +41,6 @@ class Kinematics:
     works on symbols too.
 
     Args:
-        robot: The robot.
         data: Its `Data`; one of its own by default.
     """
 
@@ -75,8 +74,6 @@ class Kinematics:
         """Bring to a state what is read of it, and nothing else.
 
         Args:
-            q: Configuration, shape (nq,).
-            v: Velocity, shape (nv,).
             reads: How much is read until the next call.
         """
         if not reads:

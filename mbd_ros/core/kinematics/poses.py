@@ -172,7 +172,6 @@ def configuration_of(robot: Robot, pose: Array) -> Array:
     """Coordinates of a free body, the inverse of `world_pose`; shape (.., 7).
 
     Args:
-        robot: The robot.
         pose: In the world, of any length of the quaternion but 0, shape (.., 7).
     """
     q = pose.copy()
@@ -196,10 +195,6 @@ def step_between(before: Array, pose: Array) -> Array:
 
 class IndependentCoordinates:
     """Where joints and free bodies stand among the independent coordinates y and their rates.
-
-    Args:
-        robot: The robot.
-        couplings: Its dependent joints.
 
     Attributes:
         joint_y: Places of the independent joints in y.

@@ -18,7 +18,6 @@ class SampledKinematics:
     """Places and Jacobians of the joints that carry points, at n configurations.
 
     Args:
-        robot: The robot.
         q: Configurations, shape (n, nq).
         joints: Indices of the joints that carry what is asked for.
         search: Finds paths that wrap, as `wrapping.taut.taut` does, from path, points and places.
@@ -57,7 +56,6 @@ class SampledKinematics:
         """Where points are, less `Robot.origin` [m], shape (n, 3).
 
         Args:
-            point: A point of a link.
             offset: From it in the axes of its joint [m], shape (n, 3); None: 0.
         """
         joint, at = self._robot.places.points[point.number]

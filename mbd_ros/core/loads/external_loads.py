@@ -27,7 +27,6 @@ class ExternalWrench(Load):
     """A load that acts on one body, given in one frame about one point: six inputs.
 
     Args:
-        robot: Robot of the scene.
         frame: Link that carries the load.
         expressed_in: Frame whose axes and, without `point`, whose origin the load refers to;
             `frame` by default.
@@ -38,9 +37,6 @@ class ExternalWrench(Load):
     Attributes:
         carrier: The joint that carries the link.
         about: The point that the torque is taken about, with the axes of `expressed_in`.
-
-    Raises:
-        ModelError: Unknown frame.
     """
 
     reads = Reads.JACOBIAN

@@ -24,7 +24,6 @@ def between_samples(t: Any, times: Array, values: Array) -> Array:
     """Straight lines between the rows of a table at a time that is a symbol; zero outside.
 
     Args:
-        t: The time [s].
         times: [s], strictly increasing, shape (m,).
         values: One row a time, shape (m, n).
     """

@@ -96,9 +96,7 @@ class Internals:
         """Internal states with what parts know of their equilibrium, fresh, shape (nz,).
 
         Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
             x: State of all joints; z is NaN where nothing is given.
-            u: All inputs.
         """
         z = x.z.copy()
         for part in self.parts:
@@ -124,9 +122,7 @@ class Internals:
         """Rates of all internal states, fresh, shape (nz,).
 
         Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
             x: State of all joints, internal states inside their bounds.
-            u: All inputs.
         """
         if not self.nz:
             return NONE

@@ -65,8 +65,6 @@ class Loads:
         """Generalized force [N·m or N], shape (nv,), not to be written to.
 
         Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
-            x: State of all joints.
             u: What `Sources.held` gives, or all inputs where nothing smooth does; None asks the
                 sources.
         """
@@ -90,7 +88,6 @@ class Loads:
 
         Args:
             k: As for `total`.
-            x: State of all joints.
         """
         forces = [force.beside(k, x) for force in self.forces]
         if all(one is other for one, other in zip(forces, self.forces, strict=True)):
@@ -109,7 +106,6 @@ class Loads:
 
         Args:
             torque: Of `commands` [N·m or N], shape (len(commands),).
-            x: State of all joints.
         """
         u = self.idle.copy()
         for actuator, driven in zip(self.actuators, self._driven, strict=True):
@@ -124,7 +120,6 @@ class Loads:
         """All inputs at a state, shape (nu,).
 
         Args:
-            x: State of all joints.
             u: As for `total`.
         """
         if u is None:
@@ -143,7 +138,6 @@ class BodyLoads:
     """Sum of wrenches on every body, in the frame of the joint that carries it.
 
     Args:
-        robot: The robot.
         wrenches: External loads, in the order in which `set` takes their values.
 
     Attributes:

@@ -11,11 +11,7 @@ from mbd_ros.core.state import Array, State
 
 
 class PathLoad(Load):
-    """A tension F along a path of length l: tau = -J' F with J = dl/dq.
-
-    Args:
-        path: The path.
-    """
+    """A tension F along a path of length l: tau = -J' F with J = dl/dq."""
 
     outputs: tuple[Output, ...] = (Output("tension", "N"), Output("length", "m"))
 
@@ -26,9 +22,6 @@ class PathLoad(Load):
         """The F [N]; positive shortens the path.
 
         Args:
-            k: Kinematics at the state.
-            x: State.
-            u: All inputs.
             length: The l [m].
             speed: The l' [m/s].
         """

@@ -198,7 +198,6 @@ def centred(
 
     Args:
         build: Makes a model of a checked description.
-        tree: The description.
 
     Returns:
         The model, and the place of its first joint in the world [m], or 0 if that is near,
@@ -313,7 +312,6 @@ def with_inertias(robot: Robot, inertias: Mapping[str, Any]) -> Robot:
     """The robot with other inertias of some links, checked as those of a description.
 
     Args:
-        robot: The robot.
         inertias: Link -> `pinocchio.Inertia` or (mass [kg], mass centre [m], shape (3,), inertia
             about the mass centre [kg·m^2], shape (3, 3)), both in the axes of the link. Locked
             and fixed links are links too.

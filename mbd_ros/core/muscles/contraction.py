@@ -157,7 +157,6 @@ class Contraction(NamedTuple):
 
         Args:
             k: Functions of numbers, symbols or arrays.
-            a: Activation.
             length: Of the path [m].
             speed: Its rate [m/s].
         """
@@ -197,7 +196,6 @@ class Contraction(NamedTuple):
 
         Args:
             k: Functions of numbers, symbols or arrays.
-            a: Activation.
             length: Of the path [m].
             fiber_length: Of the fibres [m].
             velocity: Its rate [m/s].
@@ -256,7 +254,6 @@ def stable_lengths(contraction: Contraction, a: float, length: float) -> list[fl
 
     Args:
         contraction: Of the muscle.
-        a: Activation.
         length: Of the path [m].
     """
     shortest = contraction.pennation.shortest

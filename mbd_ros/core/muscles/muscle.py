@@ -34,7 +34,6 @@ class Muscle(PathLoad, Actuator):
     """A muscle along a path: an actuator of no joint, whose command is its excitation.
 
     Args:
-        path: The path.
         contraction: Fibres and tendon.
         dynamics: How activation follows excitation.
         tendon: `elastic` or `rigid`.
@@ -105,9 +104,7 @@ class Muscle(PathLoad, Actuator):
         """Stable fibre lengths among which `at_rest` chooses [m]; empty where there is no choice.
 
         Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
             x: State of all joints, z NaN where nothing is given.
-            u: All inputs.
         """
         if not self.is_elastic or not math.isnan(x.z[self.z][1]):
             return []
@@ -166,9 +163,6 @@ class Muscle(PathLoad, Actuator):
         """What the muscle takes from food [W], see `metabolic_rate`.
 
         Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
-            x: State of all joints.
-            u: All inputs.
             numbers: Of its fibres.
         """
         activation, _ = self._states(k, x)

@@ -88,7 +88,6 @@ class ThelenCurves(NamedTuple):
 
         Args:
             k: Functions of numbers, symbols or arrays.
-            a: Activation.
             length: Of the fibres.
             speed: Of the fibres, lengthening positive, 1 the largest at which they shorten.
         """

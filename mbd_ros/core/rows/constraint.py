@@ -202,8 +202,6 @@ class Constraint(Part):
         No row acts where it is >= 0; then nothing else of the constraint is evaluated.
 
         Args:
-            q: Configuration, shape (nq,).
-            v: Velocity, shape (nv,).
             a: Acceleration without the bounded rows, shape (nv,).
         """
         return -math.inf

@@ -18,7 +18,6 @@ class CouplingRows(Constraint):
     """Every coupling of a scene as a row; its multiplier pushes the dependent joint.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints, in the order of the rows.
 
     Attributes:

@@ -151,7 +151,6 @@ def usual_norms(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> Arr
     """Norms of columns in the metric M^-1, shape (k,).
 
     Args:
-        robot: The robot.
         at: Configuration -> M, shape (nv, nv), and the columns, shape (nv, k).
     """
     found = []
@@ -166,7 +165,6 @@ def usual_sizes(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> Usu
     """Sizes of rows; 0 where nothing is finite.
 
     Args:
-        robot: The robot.
         at: Configuration -> M, shape (nv, nv), and the rows, shape (m, nv).
     """
     found = []

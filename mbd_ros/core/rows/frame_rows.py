@@ -291,11 +291,7 @@ class PairRows(Constraint):
 
 
 def check_normal(normal: Sequence[float]) -> None:
-    """Refuse a normal that points nowhere.
-
-    Raises:
-        ModelError: Names it.
-    """
+    """Refuse a normal that points nowhere."""
     if not any(normal):
         raise ModelError(f"normal {normal} must have a direction")
 
@@ -327,7 +323,6 @@ class HeldContact(Constraint):
     A round body that is held rolls. Tangents along which no joint moves are left out.
 
     Args:
-        robot: Robot of the scene.
         contact: The contact, a constraint with the law `cone`.
 
     Attributes:

@@ -17,7 +17,6 @@ class PathRow(Constraint):
     The multiplier is the tension [N].
 
     Args:
-        path: The path.
         length: The given length [m].
     """
 

@@ -86,7 +86,6 @@ class Remaining:
     """Estimates the time left, corrected by how long the tasks so far really took.
 
     Args:
-        tasks: All tasks.
         workers: How many tasks are done at the same time.
     """
 

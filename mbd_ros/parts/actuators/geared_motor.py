@@ -28,7 +28,6 @@ class GearedMotor(Actuator):
     at rest), backlash, elasticity, the electric side, gyroscopic effects of the rotor.
 
     Args:
-        robot: Robot of the scene.
         joint: Driven joint; its command is the torque of the motor [N·m].
         ratio: Motor angle per joint position; negative where the joint turns against the motor.
         rotor_inertia: About the motor axis.
@@ -36,9 +35,6 @@ class GearedMotor(Actuator):
         viscous: Friction on the motor side.
         limit: Largest torque of the motor; without it there is none.
         smoothing: Joint velocity at which s reaches 0.76.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     takes = "torque of the motor [N·m]"

@@ -18,7 +18,6 @@ class Ideal(Actuator):
     """tau = u, at most `limit` in either direction. No inertia, friction or delay.
 
     Args:
-        robot: Robot of the scene.
         joints: Driven joints, one command [N·m or N] each, in this order.
         limit: Largest torque or force of every joint; without it there is none. The effort
             limits of the URDF are not read.

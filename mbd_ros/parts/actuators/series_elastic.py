@@ -19,15 +19,11 @@ class SeriesElastic(Actuator):
     limits are left out, and so is the velocity of the command in the damping.
 
     Args:
-        robot: Robot of the scene.
         joint: Driven joint; its command is the motor-side end of the spring, as a position of
             the joint [rad or m].
         stiffness: Of the spring.
         damping: Of the joint.
         limit: Largest torque or force of the joint, damping included; without it there is none.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     takes = "position of the motor side of the spring [rad or m]"

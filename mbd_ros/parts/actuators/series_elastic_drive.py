@@ -28,7 +28,6 @@ class SeriesElasticDrive(Actuator):
     A. Pratt, M. M. Williamson, IROS 1995, doi:10.1109/IROS.1995.525827.
 
     Args:
-        robot: Robot of the scene.
         joint: Driven joint; its command is the torque of the motor [N·m].
         stiffness: Of the spring, between gear and joint.
         rotor_inertia: About the motor axis.
@@ -37,9 +36,6 @@ class SeriesElasticDrive(Actuator):
         viscous: Friction of the motor.
         limit: Largest torque of the motor; without it there is none.
         speed: Largest speed of the motor; without it there is none.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     takes = "torque of the motor [N·m]"

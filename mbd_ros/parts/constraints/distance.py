@@ -24,7 +24,6 @@ class Distance(Constraint):
     stays finite; that is no configuration of the bar.
 
     Args:
-        robot: Robot of the scene.
         frame_a: Link (or frame) of one end; the root link or `universe` for a point at rest.
         frame_b: Link (or frame) of the other end.
         distance: Length of the bar.

@@ -19,16 +19,12 @@ class DryFriction(Constraint):
     the load of the joint.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint with friction.
         limit: Largest friction.
         smoothed: Whether it is solved for in every evaluation, which costs the order of the
             method; that is so with a time constant, too.
         time_constant: Of a slow joint that comes to rest by smoothed friction, 0.002 s by default;
             a step stays stable with one that is longer than the step.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     level = Level.VELOCITY  # any position will do

@@ -19,7 +19,6 @@ class FrameAnchor(PairRows):
     exact up to 180 degrees and do not vanish there.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) that is held.
         position: Where its point is held, in the world, shape (3,).
         point: The point in `frame`, shape (3,).
@@ -59,10 +58,6 @@ class FrameAnchor(PairRows):
 
     @staticmethod
     def check(orientation: Sequence[float] | None, kind: str) -> None:
-        """Refuse an orientation of a frame that is free to turn, and none of one that is not.
-
-        Raises:
-            ModelError: Says so.
-        """
+        """Refuse an orientation of a frame that is free to turn, and none of one that is not."""
         if (orientation is None) == (kind == "full"):
             raise ModelError("orientation goes with kind full, which cannot do without it")

@@ -29,7 +29,6 @@ class JointStop(Constraint):
     for, the one with the smaller g + 2 T g'.
 
     Args:
-        robot: Robot of the scene.
         joint: The joint with stops, or else `joints`.
         joints: Several joints, or [all]: every one with a limit in the robot description, or every
             one at all with `lower` or `upper`.
@@ -39,9 +38,6 @@ class JointStop(Constraint):
         smoothed: Whether the stop is solved for in every evaluation, which costs the order of the
             method; that is so with a time constant, too.
         time_constant: T of a smoothed stop, 0.01 s by default.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     example = {"joint": "ankle", "lower": -0.3, "upper": 0.35, "restitution": 0.2}
@@ -93,11 +89,7 @@ class JointStop(Constraint):
         smoothed: bool,
         time_constant: float | None,
     ) -> None:
-        """Refuse joints without any end, ends in the wrong order, and smoothed bounces.
-
-        Raises:
-            ModelError: Names the joint, or the restitution.
-        """
+        """Refuse joints without any end, ends in the wrong order, and smoothed bounces."""
         if restitution > 0.0 and (smoothed or time_constant is not None):
             raise ModelError(
                 f"restitution {restitution:g} needs an exact stop: leave out smoothed and "
@@ -117,7 +109,6 @@ class JointStop(Constraint):
 
         Args:
             q: Configuration of all joints, shape (nq,).
-            v: Velocity, shape (nv,).
             a: Acceleration without the stops, shape (nv,).
         """
         if self._has_bases:

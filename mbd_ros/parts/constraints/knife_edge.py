@@ -26,7 +26,6 @@ class KnifeEdge(Constraint):
     Source: J. Neimark, N. Fufaev, Dynamics of Nonholonomic Systems, 1972, ch. 2.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) that carries the edge.
         direction: n, across the edge, in `frame`, of any length, shape (3,).
         point: The point of the edge in `frame`, shape (3,).
@@ -59,11 +58,7 @@ class KnifeEdge(Constraint):
 
     @staticmethod
     def check(direction: Sequence[float]) -> None:
-        """Refuse a direction that points nowhere.
-
-        Raises:
-            ModelError: Names it.
-        """
+        """Refuse a direction that points nowhere."""
         if not any(direction):
             raise ModelError(f"direction {direction} must have a length")
 

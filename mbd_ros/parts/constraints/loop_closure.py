@@ -19,7 +19,6 @@ class LoopClosure(PairRows):
     cylindrical joint.
 
     Args:
-        robot: Robot of the scene.
         frame_a: Link (or frame) that carries frame a, whose axes the rows stand in.
         frame_b: Link (or frame) that carries frame b.
         point_a: Origin of a in `frame_a`, shape (3,).

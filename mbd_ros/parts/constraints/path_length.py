@@ -15,12 +15,8 @@ class PathLength(PathRow):
     pushes: this is no rope.
 
     Args:
-        robot: Robot of the scene.
         path: What it goes over: the name of a path of the scene, or a path of its own.
         length: Of the path.
-
-    Raises:
-        ModelError: As the path says.
     """
 
     example = {"path": {"joints": {"knee": 0.04, "ankle": -0.03}}, "length": 0.01}

@@ -15,7 +15,6 @@ class PointOnPlane(PairRows):
     plane the other way. It holds from both sides.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) that carries the point.
         plane_frame: Link (or frame) that carries the plane.
         normal: Normal of the plane in `plane_frame`, of any length, shape (3,).

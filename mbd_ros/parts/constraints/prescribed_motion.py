@@ -26,7 +26,6 @@ class PrescribedMotion(Constraint):
     g'' + 2 g' / T + g / T^2 = 0.
 
     Args:
-        robot: Robot of the scene.
         joint: Driven joint.
         polynomial: c0, c1, ... of f = c0 + c1 t + c2 t^2 + ...
         harmonic: f = offset + amplitude sin(angular_frequency t + phase); amplitude [rad or m] and
@@ -37,9 +36,6 @@ class PrescribedMotion(Constraint):
         smoothed: Whether a drive with a limit is solved for in every evaluation, which costs the
             order of the method; that is so with a time constant, too.
         time_constant: T of a drive with a finite limit, 0.02 s by default.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     example = {
@@ -78,11 +74,7 @@ class PrescribedMotion(Constraint):
         harmonic: Mapping[str, float] | None,
         spline: Mapping[str, Sequence[float]] | None,
     ) -> None:
-        """Refuse more than one function or none, and other keys than those of the function.
-
-        Raises:
-            ModelError: Names them, and what is accepted.
-        """
+        """Refuse more than one function or none, and other keys than those of the function."""
         functions = {"polynomial": polynomial, "harmonic": harmonic, "spline": spline}
         given = [key for key, function in functions.items() if function is not None]
         if len(given) != 1:

@@ -18,16 +18,12 @@ class Rope(PathRow):
     becomes taut exponentially, without an impact.
 
     Args:
-        robot: Robot of the scene.
         path: What it goes over: the name of a path of the scene, or a path of its own.
         length: Length of the rope.
         restitution: Share of the impulse of compression that an impact gives back.
         smoothed: Whether the rope is solved for in every evaluation, which costs the order of the
             method; that is so with a time constant, too.
         time_constant: T of a smoothed rope, 0.01 s by default.
-
-    Raises:
-        ModelError: As the path says.
     """
 
     example = {
@@ -54,11 +50,7 @@ class Rope(PathRow):
 
     @staticmethod
     def check(restitution: float, smoothed: bool, time_constant: float | None) -> None:
-        """Refuse bounces of a smoothed rope.
-
-        Raises:
-            ModelError: Names the restitution.
-        """
+        """Refuse bounces of a smoothed rope."""
         if restitution > 0.0 and (smoothed or time_constant is not None):
             raise ModelError(
                 f"restitution {restitution:g} needs an exact rope: leave out smoothed and "

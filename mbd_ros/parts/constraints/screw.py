@@ -20,7 +20,6 @@ class Screw(Constraint):
     positive direction and brakes the turning one by pitch / (2 pi) times as much.
 
     Args:
-        robot: Robot of the scene.
         joint: Prismatic joint that the screw moves.
         parent: Revolute or continuous joint that turns it.
         pitch: Travel of a turn; < 0 for a left-handed screw.

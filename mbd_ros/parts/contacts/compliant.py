@@ -41,7 +41,6 @@ class Compliant(Load):
     which stiffness the integrator follows, and which one the depth takes.
 
     Args:
-        robot: Robot of the scene.
         between: Shapes of a and of b.
         stiffness: Of each feature; N/m^exponent for `hunt_crossley`.
         dissipation: Damping of each feature, N·s/m; s/m for `hunt_crossley`.
@@ -128,11 +127,7 @@ class Compliant(Load):
         bristle_stiffness: float | None,
         bristle_damping: float | None,
     ) -> None:
-        """Refuse laws that are not whole, or more than one.
-
-        Raises:
-            ModelError: Says which key is missing or too many.
-        """
+        """Refuse laws that are not whole, or more than one."""
         if exponent is not None and law == "linear":
             raise ModelError("exponent belongs to law: hunt_crossley, the linear law has none")
         bristle = (bristle_stiffness, bristle_damping)
@@ -147,12 +142,7 @@ class Compliant(Load):
             )
 
     def multipliers(self, k: Kinematics, x: State) -> Array:
-        """Force on a in the contact frames: normal, then both tangents [N], shape (3 n,).
-
-        Args:
-            k: Kinematics at the state, refreshed as far as `reads` says.
-            x: State of all joints.
-        """
+        """Force on a in the contact frames: normal, then both tangents [N], shape (3 n,)."""
         found = self._pushed(k, x)
         return np.zeros(3 * len(self.features)) if found is None else np.array(found.forces)
 

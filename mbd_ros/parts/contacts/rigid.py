@@ -25,7 +25,6 @@ class Rigid(Constraint):
     of its compression. What bodies look like is the subject of `core/geometry`.
 
     Args:
-        robot: Robot of the scene.
         between: Shapes of a and of b.
         friction: Coefficient mu, or one a feature.
         restitution: Share of the impulse of a compression that its expansion gives back.

@@ -31,7 +31,6 @@ class ComputedTorque(Controller):
     s = e' + lambda e the control law is s' = lambda e' - kd s.
 
     Args:
-        joints: The controlled joints.
         kp: Acceleration per error.
         kd: Acceleration per velocity error; 2 kp^(1/2) damps critically.
 

@@ -34,7 +34,6 @@ class GravityCompensation(Controller):
     for any positive gains as long as the loop is much faster than damping over inertia.
 
     Args:
-        joints: The controlled joints.
         stiffness: Effort per error.
         damping: Effort per velocity error; far less than inertia over the period of the loop.
 

@@ -41,7 +41,6 @@ class QpTracking(Controller):
     order of hard limits, softer ones and the task.
 
     Args:
-        joints: The controlled joints.
         kp: Acceleration per error, > 0.
         kd: Acceleration per velocity error, > 0; 2 kp^(1/2) damps critically.
         weight: Cost of a squared acceleration error, > 0.

@@ -30,7 +30,6 @@ class SlidingMode(Controller):
     s' = -rho(s). Couplings and loops stand in a_free and the mobility A.
 
     Args:
-        joints: The controlled joints.
         bandwidth: lambda: errors decay by exp(-lambda t) on s = 0.
         gain: k: must exceed the accelerations that model error and disturbance cause.
         boundary_layer: phi, >= 0: width within which the command is continuous; at least `gain`

@@ -39,7 +39,6 @@ class SuperTwisting(Controller):
     effort box (anti-windup).
 
     Args:
-        joints: The controlled joints.
         bandwidth: lambda: errors decay by exp(-lambda t) on s = 0.
         disturbance_rate: L: must exceed the rate of change of the accelerations that model error
             and disturbance cause.

@@ -26,7 +26,6 @@ class TrajectoryTracking(Controller):
     while nobody hears the commands; at its end it is held. References of topics do not count.
 
     Args:
-        joints: The controlled joints.
         plan: File that `mbd-ros follow` has written.
 
     Raises:

@@ -11,7 +11,6 @@ class ExtendedKalman(KalmanFilter):
     """The Kalman filter of a mechanism, linearised anew at every sample, see `KalmanFilter`.
 
     Args:
-        process: The process.
         iterations: Linearisations a measurement.
     """
 

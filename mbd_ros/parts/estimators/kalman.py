@@ -10,9 +10,6 @@ class Kalman(KalmanFilter):
 
     Source: R. E. Kalman, J. Basic Engineering 82 (1960).
 
-    Args:
-        process: The process.
-
     Raises:
         ModelError: The process is not linear.
     """

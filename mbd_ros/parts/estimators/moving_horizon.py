@@ -25,7 +25,6 @@ class MovingHorizon(Estimator):
     `iterations` of Gauss and Newton's method and begins from the last window.
 
     Args:
-        process: The process.
         samples: Measurements in the window; 0 for all (full information).
         arrival: `filter`, or `none`: only the prior counts, and only while it is in the window.
         iterations: Linearisations a measurement, at most.

@@ -19,7 +19,6 @@ class AppliedWrench(Load):
     frame it turns with the link (a thruster).
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) that carries the load.
         force: In the axes of `expressed_in`, shape (3,).
         torque: In the same axes, shape (3,).

@@ -21,7 +21,6 @@ class BodyForce(Load):
     Another link may take the opposite torque. No inertia and no delay.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) that carries the load.
         direction: Of the force, or axis of the torque, of any length.
         kind: What the input is: `force` [N] or `torque` [N·m].
@@ -64,11 +63,7 @@ class BodyForce(Load):
 
     @staticmethod
     def check(kind: str, against: str | None) -> None:
-        """Refuse a force that two links share.
-
-        Raises:
-            ModelError: Says what takes its place.
-        """
+        """Refuse a force that two links share."""
         if against is not None and kind == "force":
             raise ModelError("against goes with kind: torque; a path_force acts on two links")
 

@@ -28,7 +28,6 @@ class Bushing(Load):
         and rates: J. Diebel, Representing Attitude, 2006, sec. 5.6.
 
     Args:
-        robot: Robot of the scene.
         frame_a: Link (or frame) that carries a.
         frame_b: Link (or frame) that carries b.
         point_a: Origin of a in `frame_a`, shape (3,).
@@ -77,11 +76,7 @@ class Bushing(Load):
         angular_stiffness: Sequence[float],
         angular_damping: Sequence[float],
     ) -> None:
-        """Refuse springs and dampers that push on.
-
-        Raises:
-            ModelError: A number is negative.
-        """
+        """Refuse springs and dampers that push on."""
         if min(*stiffness, *damping, *angular_stiffness, *angular_damping) < 0.0:
             raise ModelError("stiffness and damping must be 0 or more")
 

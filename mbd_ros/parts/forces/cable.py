@@ -19,14 +19,10 @@ class Cable(PathLoad):
     no force. With damping F jumps where the cable becomes taut.
 
     Args:
-        robot: Robot of the scene.
         path: What it goes over: the name of a path of the scene, or a path of its own.
         stiffness: Of the whole cable.
         damping: Of the whole cable.
         slack_length: Length below which it is slack.
-
-    Raises:
-        ModelError: As the path says.
     """
 
     example = {

@@ -23,7 +23,6 @@ class GearFriction(Load):
     v_joint + sum ratio v_other, and the other joints feel `ratio` times its friction.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint of the drive.
         also: Other joints that turn its motor, and how far it turns with them [motor angle for
             a unit of theirs over that for a unit of `joint`].
@@ -66,11 +65,7 @@ class GearFriction(Load):
 
     @staticmethod
     def check(joint: str, also: Mapping[str, float], load: float, rotor_inertia: float) -> None:
-        """Refuse a motor of several joints with what is known of one joint alone.
-
-        Raises:
-            ModelError: Says why.
-        """
+        """Refuse a motor of several joints with what is known of one joint alone."""
         if joint in also:
             raise ModelError(f"also: {joint} is the joint of the drive")
         if also and (load or rotor_inertia):

@@ -22,7 +22,6 @@ class GravityCompensation(Load):
     does not count as stored energy.
 
     Args:
-        robot: Robot of the scene.
         joints: Joints that are compensated; `[all]` for every joint.
         factor: Share of the weight that is carried.
 

@@ -13,7 +13,6 @@ class JointFriction(Load):
     """tau = -coulomb tanh(v / smoothing) - viscous v. No stiction: a joint at rest creeps.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint that rubs.
         coulomb: Dry friction.
         viscous: Viscous friction.

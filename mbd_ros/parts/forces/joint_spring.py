@@ -13,7 +13,6 @@ class JointSpring(Load):
     """Linear spring and damper: tau = stiffness (rest - q) - damping v. No limits, no backlash.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint that carries the spring.
         stiffness: Of the spring.
         rest: Position without force.

@@ -13,12 +13,8 @@ class JointTorque(Load):
     """Constant torque, or force on a prismatic joint: tau = torque.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint that it acts on.
         torque: Along the positive joint axis.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     example = {"joint": "ankle", "torque": 5.0}

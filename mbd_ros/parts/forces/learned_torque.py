@@ -36,7 +36,6 @@ class LearnedTorque(Load):
     temperature or wear.
 
     Args:
-        robot: Robot of the scene.
         model: File of `mbd-ros learn`, relative to the scene.
         fade: Width in which it fades, over half of what a position or velocity spanned.
 

@@ -18,12 +18,8 @@ class PathForce(PathLoad):
     Positive values shorten the path, negative ones push it apart. No inertia, friction or delay.
 
     Args:
-        robot: Robot of the scene.
         path: What it goes over: the name of a path of the scene, or a path of its own.
         limit: Largest tension; without it there is none.
-
-    Raises:
-        ModelError: As the path says.
     """
 
     example = {

@@ -21,14 +21,10 @@ class PathSpring(PathLoad):
     Source: OpenSim's PathSpring; A. Seth et al., PLoS Comput. Biol. 14, 2018, e1006223.
 
     Args:
-        robot: Robot of the scene.
         path: What it goes over: the name of a path of the scene, or a path of its own.
         stiffness: Of the whole spring.
         resting_length: Length below which it is slack.
         dissipation: Share of the tension that a speed adds.
-
-    Raises:
-        ModelError: As the path says.
     """
 
     example = {

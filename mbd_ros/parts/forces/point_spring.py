@@ -21,7 +21,6 @@ class PointSpring(PathLoad):
     0 and without damping is that the limit of the forces nearby.
 
     Args:
-        robot: Robot of the scene.
         frame_a: Link (or frame) of one end; the root link or `universe` for a point at rest.
         frame_b: Link (or frame) of the other end.
         point_a: End in `frame_a`, shape (3,).

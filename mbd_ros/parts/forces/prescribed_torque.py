@@ -18,13 +18,9 @@ class PrescribedTorque(Load):
     """Generalized forces from a table in time: linear between samples, zero outside.
 
     Args:
-        robot: Robot of the scene.
         joints: Driven joints.
         times: Sample times, increasing, at least two.
         torque: One row a sample, one column a joint.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     example = {"joints": ["knee"], "times": [0.0, 1.0], "torque": [[1.0], [5.0]]}
@@ -46,11 +42,7 @@ class PrescribedTorque(Load):
     def check(
         joints: Sequence[str], times: Sequence[float], torque: Sequence[Sequence[float]]
     ) -> None:
-        """Refuse a table that is none.
-
-        Raises:
-            ModelError: Names the argument and what is accepted.
-        """
+        """Refuse a table that is none."""
         if len(times) < 2 or not (np.diff(times) > 0).all():
             raise ModelError("times must be at least two increasing numbers")
         if len(torque) != len(times) or any(len(row) != len(joints) for row in torque):

@@ -23,7 +23,6 @@ class PrescribedWrench(Load):
     with `expressed_in` at rest, the force stays at one place while the link moves.
 
     Args:
-        robot: Robot of the scene.
         frame: Link that carries the load.
         times: Times of the samples, strictly increasing, shape (n,), n >= 2.
         wrenches: Force, then torque, one row a sample, shape (n, 6).
@@ -31,9 +30,6 @@ class PrescribedWrench(Load):
             `frame` by default, `universe` for the world of a robot that names none.
         point: Point that the torque is taken about, in `expressed_in`, shape (3,).
         threshold: Force norm below which the load counts as zero.
-
-    Raises:
-        ModelError: Unknown frame.
     """
 
     reads = Reads.JACOBIAN
@@ -61,11 +57,7 @@ class PrescribedWrench(Load):
 
     @staticmethod
     def check(times: Sequence[float], wrenches: Sequence[Sequence[float]]) -> None:
-        """Refuse a table that is none.
-
-        Raises:
-            ModelError: Names the argument and what is accepted.
-        """
+        """Refuse a table that is none."""
         if len(times) < 2 or not (np.diff(times) > 0).all():
             raise ModelError("times must be at least two increasing numbers")
         if len(wrenches) != len(times):

@@ -22,7 +22,6 @@ class PushOff(Load):
     foot. Without it the ground does: a foot flat on the ground, without mass and long enough.
 
     Args:
-        robot: Robot of the scene.
         frame: Leg that is pushed.
         joint: Joint whose position says how far the stance is; of a leg that hangs on a pelvis
             which does not turn, its hip.

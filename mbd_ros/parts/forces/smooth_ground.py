@@ -30,7 +30,6 @@ class SmoothGround(Load):
         1975, 440-445.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) that touches.
         point: Of it, shape (3,).
         stiffness: Of the ground.

@@ -23,7 +23,6 @@ class SoftLimit(Load):
         what is per degree there is per radian here.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint that carries the springs.
         lower: End of the range, none by default.
         upper: End of the range, none by default.
@@ -57,11 +56,7 @@ class SoftLimit(Load):
 
     @staticmethod
     def check(lower: float | None, upper: float | None) -> None:
-        """Refuse a range without ends, or whose ends are the wrong way round.
-
-        Raises:
-            ModelError: Says which.
-        """
+        """Refuse a range without ends, or whose ends are the wrong way round."""
         if lower is None and upper is None:
             raise ModelError("give lower, upper or both")
         if lower is not None and upper is not None and lower > upper:

@@ -22,7 +22,6 @@ class SwitchingForce(DiscontinuousForce):
     A relay is velocity {joint: [0, 1]}, above {joint: -K}, below {joint: K}: dry friction.
 
     Args:
-        robot: Robot of the scene.
         above: Joint -> force where h > 0.
         below: Joint -> force where h < 0.
         velocity: Joint -> coefficients c0, c1, .. of the polynomial r_j in its velocity.
@@ -72,11 +71,7 @@ class SwitchingForce(DiscontinuousForce):
         velocity: Mapping[str, Sequence[float]] | None,
         position: Mapping[str, Sequence[float]] | None,
     ) -> None:
-        """Refuse what has no surface, or no force that switches.
-
-        Raises:
-            ModelError: Says which.
-        """
+        """Refuse what has no surface, or no force that switches."""
         if not velocity and not position:
             raise ModelError("a surface needs velocity or position, joint -> coefficients")
         if all(above.get(name, 0.0) == below.get(name, 0.0) for name in {**above, **below}):

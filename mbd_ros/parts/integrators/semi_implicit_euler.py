@@ -95,7 +95,6 @@ class SemiImplicitEulerStepper(Stepper):
     """Steps of the semi-implicit Euler method.
 
     Args:
-        system: The system.
         dt: Length of a step [s].
     """
 
@@ -117,7 +116,6 @@ class ImplicitDampingStepper(SemiImplicitEulerStepper):
     """The same with dampers at the new velocity.
 
     Args:
-        system: The system.
         dt: Length of a step [s].
     """
 

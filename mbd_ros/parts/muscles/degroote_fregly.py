@@ -22,7 +22,6 @@ class DegrooteFregly(Muscle):
     Eng. 44, 2016, 2922-2936, doi:10.1007/s10439-016-1591-9.
 
     Args:
-        robot: Robot of the scene.
         path: What it goes over: the name of a path of the scene, or a path of its own.
         max_isometric_force: Largest force of the active fibres at rest.
         optimal_fiber_length: Fibre length at which they have it.
@@ -40,9 +39,6 @@ class DegrooteFregly(Muscle):
         tendon_strain: Strain of the tendon at which its force is the peak force.
         damping: Of the fibres, in peak forces per largest speed.
         activation_steepness: Of the change between the two time constants.
-
-    Raises:
-        ModelError: As the path says.
     """
 
     example = {

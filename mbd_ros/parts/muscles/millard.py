@@ -34,7 +34,6 @@ class Millard(Muscle):
     doi:10.1115/1.4023390.
 
     Args:
-        robot: Robot of the scene.
         path: What it goes over: the name of a path of the scene, or a path of its own.
         max_isometric_force: Largest force of the active fibres at rest.
         optimal_fiber_length: Fibre length at which they have it.
@@ -65,9 +64,6 @@ class Millard(Muscle):
         lengthening_force: Largest force of lengthening fibres per isometric force.
         lengthening_slope: Near the largest speed of lengthening.
         lengthening_curviness: Of its half of the curve, 0 .. 1.
-
-    Raises:
-        ModelError: As the path says.
     """
 
     example = {
@@ -142,11 +138,7 @@ class Millard(Muscle):
         passive_zero_strain: float,
         passive_strain: float,
     ) -> None:
-        """Refuse what does not go together.
-
-        Raises:
-            ModelError: Names it.
-        """
+        """Refuse what does not go together."""
         check_sizes(tendon, tendon_slack_length, pennation_angle, maximum_pennation_angle)
         if tendon == "elastic" and damping <= 0.0:
             raise ModelError("damping is 0: fibres beside an elastic tendon need some")

@@ -22,7 +22,6 @@ class Thelen(Muscle):
     contractions in older adults, J. Biomech. Eng. 125, 2003, 70-77, doi:10.1115/1.1531112.
 
     Args:
-        robot: Robot of the scene.
         path: What it goes over: the name of a path of the scene, or a path of its own.
         max_isometric_force: Largest force of the active fibres at rest.
         optimal_fiber_length: Fibre length at which they have it.
@@ -41,9 +40,6 @@ class Thelen(Muscle):
         velocity_shape: Curvature of the force-velocity curve.
         lengthening_force: Largest force of lengthening fibres per isometric force.
         fv_extrapolation: Share of that force beyond which the curve is straight.
-
-    Raises:
-        ModelError: As the path says.
     """
 
     example = {

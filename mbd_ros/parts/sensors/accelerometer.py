@@ -18,15 +18,11 @@ class Accelerometer(Sensor):
     An offset of its zero and its range are left out.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) in whose axes it measures.
         xyz: Place in `frame`, shape (3,).
         noise: Standard deviation of each component.
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.
-
-    Raises:
-        ModelError: Unknown frame.
     """
 
     example = {"frame": "foot", "noise": 0.05}
@@ -51,11 +47,7 @@ class Accelerometer(Sensor):
         self._gravity = robot.model.gravity.linear.copy()
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Specific force in the axes of the link [m/s^2], shape (3,).
-
-        Raises:
-            ModelError: Accelerations are not given.
-        """
+        """Specific force in the axes of the link [m/s^2], shape (3,)."""
         return specific_force(self, k, self.point, now, self._gravity)
 
     def jacobian(self, k: Kinematics, x: State) -> Array:

@@ -18,15 +18,11 @@ class Effort(Sensor):
     a sensor at the output of a gear feels.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint that it is in.
         noise: Standard deviation.
         offset: What it shows where nothing acts.
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     example = {"joint": "ankle", "noise": 0.05}
@@ -49,11 +45,7 @@ class Effort(Sensor):
         self._axis = robot.axis(self.joint)
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Effort in the joint [N·m or N], shape (1,).
-
-        Raises:
-            ModelError: Reactions are not given.
-        """
+        """Effort in the joint [N·m or N], shape (1,)."""
         return np.array((reactions_of(self, now)[self._row].dot(self._axis) + self.offset,))
 
     def covariance(self, k: Kinematics, x: State) -> Array:

@@ -15,15 +15,11 @@ class Encoder(Sensor):
     """Position of a joint; resolution and backlash are left out.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint that it is on.
         noise: Standard deviation.
         offset: What it shows at the zero of the joint.
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     example = {"joint": "ankle", "noise": 1.0e-4}

@@ -18,15 +18,11 @@ class Gyroscope(Sensor):
     """Angular velocity of a link, in axes of the link.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) in whose axes it measures.
         noise: Standard deviation of each component.
         offset: What it shows at rest, shape (3,).
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.
-
-    Raises:
-        ModelError: Unknown frame.
     """
 
     example = {"frame": "foot", "noise": 0.01}

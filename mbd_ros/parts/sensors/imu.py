@@ -19,16 +19,12 @@ class Imu(Sensor):
     At rest it shows +9.81 m/s^2 upwards. Drift of its zeros is left out.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) in whose axes it measures.
         xyz: Place in `frame`, shape (3,).
         gyro_noise: Standard deviation of each component of the angular velocity.
         acceleration_noise: Of each component of the specific force.
         label: Topic of its messages; empty for `~/imu/<name>`.
         delay: From a measurement to its message.
-
-    Raises:
-        ModelError: Unknown frame.
     """
 
     example = {"frame": "foot"}
@@ -56,11 +52,7 @@ class Imu(Sensor):
         self._gravity = robot.model.gravity.linear.copy()
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Angular velocity [rad/s] and specific force [m/s^2], shape (6,).
-
-        Raises:
-            ModelError: Accelerations are not given.
-        """
+        """Angular velocity [rad/s] and specific force [m/s^2], shape (6,)."""
         felt = specific_force(self, k, self.point, now, self._gravity)
         return np.concatenate((k.own_jacobian(self.point)[_ANGULAR].dot(x.v), felt))
 

@@ -18,16 +18,12 @@ class Marker(Sensor):
     The marker does not slide on its link: skin and soft tissue are left out.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) that carries it; `world` for one at rest.
         xyz: Place in `frame`, shape (3,).
         weight: Of its squared distance in marker kinematics; 0 leaves it out.
         label: What recordings and messages call it; empty for its name.
         fixed: Whether its place on the link is certain, as models of OpenSim say it; a note only.
         noise: Standard deviation of each component.
-
-    Raises:
-        ModelError: Unknown frame.
     """
 
     example = {"frame": "foot", "xyz": [0.1, 0.0, 0.02]}

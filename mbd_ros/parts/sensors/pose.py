@@ -24,16 +24,12 @@ class Pose(Sensor):
     quaternion. Between pi and -pi it jumps, which estimators know.
 
     Args:
-        robot: Robot of the scene.
         frame: Link (or frame) that is seen.
         xyz: Place in `frame`, shape (3,).
         noise: Standard deviation of each component of the position.
         turn_noise: Of the rotation about each axis.
         label: Topic of its messages; empty for `~/pose/<name>`.
         delay: From a measurement to its message.
-
-    Raises:
-        ModelError: Unknown frame.
     """
 
     example = {"frame": "foot"}

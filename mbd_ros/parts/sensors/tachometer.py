@@ -15,14 +15,10 @@ class Tachometer(Sensor):
     """Velocity of a joint, as the drive behind an encoder tells it.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint that it is on.
         noise: Standard deviation.
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     example = {"joint": "ankle", "noise": 0.01}

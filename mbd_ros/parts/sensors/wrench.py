@@ -17,15 +17,11 @@ class Wrench(Sensor):
     The axes are those of the child; along the axis of the joint it is what `effort` measures.
 
     Args:
-        robot: Robot of the scene.
         joint: Joint that it is in.
         force_noise: Standard deviation of each component of the force.
         torque_noise: Of each component of the torque.
         label: Topic of its messages; empty for `~/measured_wrench/<name>`.
         delay: From a measurement to its message.
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     example = {"joint": "ankle"}
@@ -48,11 +44,7 @@ class Wrench(Sensor):
         self._row = [one.name for one in robot.joints].index(joint)
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """Force [N], then torque [N·m], shape (6,).
-
-        Raises:
-            ModelError: Reactions are not given.
-        """
+        """Force [N], then torque [N·m], shape (6,)."""
         return np.array(reactions_of(self, now)[self._row])
 
     def covariance(self, k: Kinematics, x: State) -> Array:

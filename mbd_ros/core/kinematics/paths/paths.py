@@ -93,11 +93,7 @@ class JointPath(Path):
     The tension acts between parent and child of each joint.
 
     Args:
-        robot: The robot.
         terms: Joint -> its f, with f' and f'' [m, m per rad or m, ..].
-
-    Raises:
-        ModelError: Unknown joint.
     """
 
     def __init__(self, robot: Robot, terms: Mapping[str, CouplingFunction]) -> None:
@@ -182,8 +178,6 @@ class PathBatch:
     """All paths of a scene, evaluated for all samples at once.
 
     Args:
-        robot: The robot.
-        couplings: Its dependent joints.
         paths: By name.
         search: As for `SampledKinematics`; numpy's own by default.
 

@@ -32,7 +32,6 @@ class PointPath(Path):
     A line between points that coincide has no direction and pulls nowhere.
 
     Args:
-        robot: The robot.
         points: Two or more, whatever their `within` says.
     """
 
@@ -155,7 +154,6 @@ def path_through(robot: Robot, points: Sequence[ViaPoint], wraps: Sequence[Wrap]
     """The path through points; those with an interval are left out where their joint is not there.
 
     Args:
-        robot: The robot.
         points: Two or more.
         wraps: Surfaces that it may wrap over, in the order in which they are tried.
 

@@ -40,7 +40,6 @@ class PolynomialPath(Path):
     tension acts in the joints.
 
     Args:
-        robot: The robot.
         joints: Joint -> its lower and upper limit [rad or m].
         terms: An exponent e of each joint, then c [m].
 

@@ -301,7 +301,6 @@ def _contact(
     """A point of a geodesic, in the axes of the surface.
 
     Args:
-        surface: The surface.
         point: The point, shape (n, 3).
         t: Unit tangent, shape (n, 3).
         along: Shift along t with every unknown, shape (n, 4).

@@ -22,8 +22,6 @@ class ViaPoint:
     """A point that a link holds.
 
     Args:
-        robot: The robot.
-        frame: The link.
         point: Where it is in the axes of the link [m], shape (3,).
         within: Where in the motion of a joint the path goes through it; None: everywhere.
 
@@ -36,9 +34,6 @@ class ViaPoint:
         joint: The joint that slides it along its link; None where it is held.
         directions: Ways that it slides, in axes of the joint that carries it, shape (3,), each
             with its function of the position of `joint` [m].
-
-    Raises:
-        ModelError: Unknown frame.
     """
 
     is_held = True
@@ -85,16 +80,11 @@ class MovingViaPoint(ViaPoint):
     Source: A. Seth et al., OpenSim, PLoS Comput. Biol. 14, 2018, e1006223: moving path points.
 
     Args:
-        robot: The robot.
-        frame: The link.
         point: Its coordinates in the axes of the link [m], shape (3,); those that a function
             gives are not read.
         joint: The joint that moves it.
         functions: x, y or z -> that coordinate, as function of the position of the joint [m].
         within: As for `ViaPoint`.
-
-    Raises:
-        ModelError: Unknown frame or joint.
     """
 
     is_held = False
@@ -219,7 +209,6 @@ def slopes_of(
     """J of n samples, shape (n, nv), of a length that changes with points.
 
     Args:
-        k: Kinematics.
         points: The points.
         places: Where they are, shape (n, m, 3).
         change: By how much the length changes with them, shape (n, m, 3).

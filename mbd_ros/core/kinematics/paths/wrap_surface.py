@@ -172,16 +172,10 @@ class Wrap:
     """A surface on a link that a path may wrap over.
 
     Args:
-        robot: The robot.
         name: For messages and tables.
-        frame: The link.
-        surface: The surface.
         xyz: Its origin in the axes of the link [m], shape (3,).
         rpy: Its axes there as in URDF [rad], shape (3,).
         between: First and last of the points of the path between which it acts; None: all.
-
-    Raises:
-        ModelError: Unknown frame.
     """
 
     def __init__(

@@ -35,7 +35,6 @@ class WrappedPath(Path):
     Which surfaces a path wraps over depends on the configuration alone, so that no mode keeps it.
 
     Args:
-        robot: The robot.
         points: Two or more, whatever their `within` says.
         wraps: In the order in which they are tried.
         reaches: First and last point of every wrap, as indices of `points`.
