@@ -1,47 +1,47 @@
-"""Rotations, and poses and velocities of free bodies.
+"""Poses and velocities of free bodies, and rotations as vectors.
 
 A pose is (x, y, z, qx, qy, qz, qw): place of the frame of the body in the world [m], and its
 orientation. A twist is its velocity [m/s], then its angular velocity [rad/s], in axes of the body.
-An acceleration is the derivative of the twist, not what an accelerometer feels.
+An acceleration is the derivative of the twist, not what an accelerometer feels. A rotation vector
+stands along the axis of a rotation and is as long as its angle.
+
+Source: J. Solà et al., A micro Lie theory for state estimation in robotics, 2018,
+https://arxiv.org/abs/1812.01537, appendix B (rotation vectors).
 """
 
 import math
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 
-# ---- poses ------------------------------------------------------------------------------------
-# Poses of free bodies and their velocities, one a row.
-
-
 POSE, TWIST = 7, 6
+_TURN = 2.0 * math.pi
+_NONE = 1.0e-9  # rad, below which a rotation has no axis
+_UNIT = 1.0e-12  # of the square of a quaternion's length; closer ones keep their bits
 
 
-def with_sign_of(before: Array, pose: Array) -> Array:
-    """A pose whose quaternion has the sign of an earlier one, shape (7,)."""
-    if before[3:].dot(pose[3:]) < 0.0:
-        pose = pose.copy()
-        pose[3:] *= -1.0
+def world_pose(robot: Robot, coordinates: Array) -> Array:
+    """Pose in the world of a free body from its part of a configuration, fresh, shape (.., 7)."""
+    pose = coordinates.copy()
+    pose[..., :3] += robot.origin
     return pose
 
 
-def with_steady_signs(poses: Array) -> Array:
-    """Poses in the order of time, each quaternion of the sign of the one before.
+def configuration_of(robot: Robot, pose: Array) -> Array:
+    """Coordinates of a free body, the inverse of `world_pose`; shape (.., 7).
 
     Args:
-        poses: Shape (n, 7).
+        pose: In the world, of any length of the quaternion but 0, shape (.., 7).
     """
-    q = poses[:, 3:]
-    turns = (q[1:] * q[:-1]).sum(axis=1) < 0.0
-    signs = np.where(np.cumsum(np.concatenate(([False], turns))) % 2, -1.0, 1.0)
-    if (signs > 0.0).all():
-        return poses
-    return np.concatenate((poses[:, :3], q * signs[:, None]), axis=1)
+    q = pose.copy()
+    q[..., :3] -= robot.origin
+    square = (q[..., 3:] ** 2).sum(axis=-1, keepdims=True)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        q[..., 3:] = np.where(np.abs(square - 1.0) <= _UNIT, q[..., 3:], q[..., 3:] / square**0.5)
+    return q
 
 
 def twist_of(pose: Array, rate: Array) -> Array:
@@ -58,6 +58,23 @@ def twist_of(pose: Array, rate: Array) -> Array:
     return np.concatenate(
         (_turned_back(pose, rate[:, :3]), 2.0 * _turns(pose, rate)[:, :3]), axis=1
     )
+
+
+def _turned_back(pose: Array, vectors: Array) -> Array:
+    """Vectors of the world in axes of the bodies, shape (n, 3)."""
+    square = (pose[:, 3:] ** 2).sum(axis=1, keepdims=True)
+    u, s = pose[:, 3:6], pose[:, 6:]
+    turned: Array = vectors - 2.0 / square * np.cross(u, s * vectors - np.cross(u, vectors))
+    return turned
+
+
+def _turns(pose: Array, rate: Array) -> Array:
+    """r^-1 r' of quaternions (x, y, z, w), shape (n, 4)."""
+    u, s, du, ds = pose[:, 3:6], pose[:, 6:], rate[:, 3:6], rate[:, 6:]
+    square = (pose[:, 3:] ** 2).sum(axis=1, keepdims=True)
+    vector = s * du - ds * u - np.cross(u, du)
+    scalar = s * ds + (u * du).sum(axis=1, keepdims=True)
+    return np.concatenate((vector, scalar), axis=1) / square
 
 
 def acceleration_of(pose: Array, rate: Array, second: Array) -> Array:
@@ -90,32 +107,37 @@ def rate_of(pose: Array, twist: Array) -> Array:
     return np.concatenate((linear, 0.5 * vector, 0.5 * scalar), axis=1)
 
 
-def _turns(pose: Array, rate: Array) -> Array:
-    """r^-1 r' of quaternions (x, y, z, w), shape (n, 4)."""
-    u, s, du, ds = pose[:, 3:6], pose[:, 6:], rate[:, 3:6], rate[:, 6:]
-    square = (pose[:, 3:] ** 2).sum(axis=1, keepdims=True)
-    vector = s * du - ds * u - np.cross(u, du)
-    scalar = s * ds + (u * du).sum(axis=1, keepdims=True)
-    return np.concatenate((vector, scalar), axis=1) / square
+def with_steady_signs(poses: Array) -> Array:
+    """Poses in the order of time, each quaternion of the sign of the one before.
+
+    Args:
+        poses: Shape (n, 7).
+    """
+    q = poses[:, 3:]
+    turns = (q[1:] * q[:-1]).sum(axis=1) < 0.0
+    signs = np.where(np.cumsum(np.concatenate(([False], turns))) % 2, -1.0, 1.0)
+    if (signs > 0.0).all():
+        return poses
+    return np.concatenate((poses[:, :3], q * signs[:, None]), axis=1)
 
 
-def _turned_back(pose: Array, vectors: Array) -> Array:
-    """Vectors of the world in axes of the bodies, shape (n, 3)."""
-    square = (pose[:, 3:] ** 2).sum(axis=1, keepdims=True)
-    u, s = pose[:, 3:6], pose[:, 6:]
-    turned: Array = vectors - 2.0 / square * np.cross(u, s * vectors - np.cross(u, vectors))
-    return turned
+def with_sign_of(before: Array, pose: Array) -> Array:
+    """A pose whose quaternion has the sign of an earlier one, shape (7,)."""
+    if before[3:].dot(pose[3:]) < 0.0:
+        pose = pose.copy()
+        pose[3:] *= -1.0
+    return pose
 
 
-# ---- rotations --------------------------------------------------------------------------------
-# Rotations as vectors along their axis, as long as their angle.
-#
-# Source: J. Solà et al., A micro Lie theory for state estimation in robotics, 2018,
-# https://arxiv.org/abs/1812.01537, appendix B.
+def step_between(before: Array, pose: Array) -> Array:
+    """The twist that leads from one pose to another in a unit of time, shape (6,).
 
-
-_TURN = 2.0 * math.pi
-_NONE = 1.0e-9  # rad, below which a rotation has no axis
+    Args:
+        before: Shape (7,).
+        pose: Shape (7,).
+    """
+    step: Array = pin.log6(pin.XYZQUATToSE3(before).actInv(pin.XYZQUATToSE3(pose))).vector
+    return step
 
 
 def rotation_vector(R: Array) -> Array:
@@ -152,78 +174,3 @@ def quaternion_vector(quaternion: Array) -> Array:
 def vector_quaternion(vector: Array) -> Array:
     """Quaternion (x, y, z, w) of a rotation vector [rad], shape (4,)."""
     return np.array(pin.Quaternion(pin.exp3(vector)).coeffs())
-
-
-# ---- free bases -------------------------------------------------------------------------------
-# Free bodies of a robot between its coordinates and poses in the world, see `poses`.
-
-
-_UNIT = 1.0e-12  # of the square of a quaternion's length; closer ones keep their bits
-
-
-def world_pose(robot: Robot, coordinates: Array) -> Array:
-    """Pose in the world of a free body from its part of a configuration, fresh, shape (.., 7)."""
-    pose = coordinates.copy()
-    pose[..., :3] += robot.origin
-    return pose
-
-
-def configuration_of(robot: Robot, pose: Array) -> Array:
-    """Coordinates of a free body, the inverse of `world_pose`; shape (.., 7).
-
-    Args:
-        pose: In the world, of any length of the quaternion but 0, shape (.., 7).
-    """
-    q = pose.copy()
-    q[..., :3] -= robot.origin
-    square = (q[..., 3:] ** 2).sum(axis=-1, keepdims=True)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        q[..., 3:] = np.where(np.abs(square - 1.0) <= _UNIT, q[..., 3:], q[..., 3:] / square**0.5)
-    return q
-
-
-def step_between(before: Array, pose: Array) -> Array:
-    """The twist that leads from one pose to another in a unit of time, shape (6,).
-
-    Args:
-        before: Shape (7,).
-        pose: Shape (7,).
-    """
-    step: Array = pin.log6(pin.XYZQUATToSE3(before).actInv(pin.XYZQUATToSE3(pose))).vector
-    return step
-
-
-class IndependentCoordinates:
-    """Where joints and free bodies stand among the independent coordinates y and their rates.
-
-    Attributes:
-        joint_y: Places of the independent joints in y.
-        joint_w: Places of the independent joints in y'.
-        body_y: Places of each free body in y, 7 each.
-        body_w: Places of each free body in y', 6 each.
-    """
-
-    def __init__(self, robot: Robot, couplings: Couplings) -> None:
-        joints, bases = [robot.joint(name) for name in couplings.independent], robot.bases
-        q, v = couplings.q_index, couplings.v_index
-        self.joint_y = np.searchsorted(q, np.array([joint.q for joint in joints], dtype=np.intp))
-        self.joint_w = np.searchsorted(v, np.array([joint.v for joint in joints], dtype=np.intp))
-        self.body_y = [np.searchsorted(q, np.arange(b.q.start, b.q.stop)) for b in bases]
-        self.body_w = [np.searchsorted(v, np.arange(b.v.start, b.v.stop)) for b in bases]
-        self._y = np.concatenate([self.joint_y, *self.body_y])
-        self._w = np.concatenate([self.joint_w, *self.body_w])
-
-    def positions(self, joints_and_bodies: Array) -> Array:
-        """Coordinates y of joints, then bodies, shape (.., ny)."""
-        return self._arranged(joints_and_bodies, self._y)
-
-    def rates(self, joints_and_bodies: Array) -> Array:
-        """Rates y' or y'' of joints, then bodies, shape (.., nv_y)."""
-        return self._arranged(joints_and_bodies, self._w)
-
-    def _arranged(self, values: Array, at: NDArray[np.intp]) -> Array:
-        if not self.body_y:
-            return values
-        arranged = np.empty_like(values)
-        arranged[..., at] = values
-        return arranged

@@ -12,10 +12,6 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotNegative, Unit, Vector
 from mbd_ros.core.state import Array, State, WrenchSamples
 
-# ---- external wrench --------------------------------------------------------------------------
-# Loads on bodies that come from outside: measured, or given by a source.
-
-
 _CHANNELS = tuple(
     Channel(f"{letter}{axis}", unit)
     for letter, unit in (("F", "N"), ("M", "N·m"))
@@ -110,29 +106,6 @@ class ExternalWrench(Load):
         return (Wrench(self.frame, place, axes.dot(load[:3]), axes.dot(load[3:])),)
 
 
-# ---- wrenches ---------------------------------------------------------------------------------
-# Samples of measured loads on bodies.
-
-
-def at_stamps(samples: WrenchSamples, stamps: NDArray[np.int64], max_age: int) -> Array:
-    """A recorded load at the stamps of a motion, as `WrenchBuffer.at` gives it.
-
-    Args:
-        samples: The recording.
-        stamps: Times [ns], shape (n,).
-        max_age: How long the newest sample stands for later times [ns].
-
-    Returns:
-        Wrenches, shape (n, 6); NaN where no sample is near enough.
-    """
-    begin = samples.stamps[0]  # differences are exact as floats, times since 1970 are not
-    times, known = stamps - begin, samples.stamps - begin
-    columns = [np.interp(times, known, column) for column in samples.wrench.T]
-    wrench = np.column_stack(columns)
-    wrench[(stamps < samples.stamps[0]) | (stamps > samples.stamps[-1] + max_age)] = np.nan
-    return wrench
-
-
 class WrenchBuffer:
     """The newest samples of one load, to be read at the stamps of joint states.
 
@@ -189,3 +162,22 @@ class WrenchBuffer:
             return before[1] if age <= self._max_age else None
         share = age / (after[0] - before[0])
         return before[1] + share * (after[1] - before[1])
+
+
+def at_stamps(samples: WrenchSamples, stamps: NDArray[np.int64], max_age: int) -> Array:
+    """A recorded load at the stamps of a motion, as `WrenchBuffer.at` gives it.
+
+    Args:
+        samples: The recording.
+        stamps: Times [ns], shape (n,).
+        max_age: How long the newest sample stands for later times [ns].
+
+    Returns:
+        Wrenches, shape (n, 6); NaN where no sample is near enough.
+    """
+    begin = samples.stamps[0]  # differences are exact as floats, times since 1970 are not
+    times, known = stamps - begin, samples.stamps - begin
+    columns = [np.interp(times, known, column) for column in samples.wrench.T]
+    wrench = np.column_stack(columns)
+    wrench[(stamps < samples.stamps[0]) | (stamps > samples.stamps[-1] + max_age)] = np.nan
+    return wrench

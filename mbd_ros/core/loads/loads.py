@@ -1,4 +1,9 @@
-"""tau: everything that acts on the joints besides inertia and constraints."""
+"""tau: everything that acts on the joints besides inertia and constraints.
+
+`Loads` sums generalized forces; `BodyLoads` sums wrenches on bodies, as `pin.rnea` takes them.
+"""
+
+from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
@@ -15,8 +20,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
 
-# ---- loads ------------------------------------------------------------------------------------
-# tau: everything that acts on the joints besides inertia and constraints.
+_UNLOADED = pin.Force.Zero()
 
 
 class Loads:
@@ -75,15 +79,15 @@ class Loads:
             tau = tau + force.force(k, x, u)
         return tau
 
-    def having(self, forces: Sequence[Load]) -> "Loads":
+    def having(self, forces: Sequence[Load]) -> Loads:
         """The same actuators beside other forces."""
         return Loads(len(self._zero), forces, self.actuators, self.sources, self.watching)
 
-    def watched_by(self, parts: Sequence[Part]) -> "Loads":
+    def watched_by(self, parts: Sequence[Part]) -> Loads:
         """The same loads with other guards."""
         return Loads(len(self._zero), self.forces, self.actuators, self.sources, parts)
 
-    def beside(self, k: Kinematics, x: State) -> "Loads":
+    def beside(self, k: Kinematics, x: State) -> Loads:
         """The loads near a state, smooth across the surfaces at which they jump.
 
         Args:
@@ -125,13 +129,6 @@ class Loads:
         if u is None:
             return self.sources.at(x.t) if self._has_sources else self.idle
         return self.sources.complete(u, x.t) if self._is_smooth else u
-
-
-# ---- body loads -------------------------------------------------------------------------------
-# Forces on the bodies of a robot, as `pin.rnea` takes them.
-
-
-_UNLOADED = pin.Force.Zero()
 
 
 class BodyLoads:

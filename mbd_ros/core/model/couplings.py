@@ -16,6 +16,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mbd_ros.core.model.coupling_functions import CouplingFunction, Linear
 from mbd_ros.core.model.robot import Joint, Robot
@@ -160,3 +161,39 @@ class CoupledPair(NamedTuple):
     parent_q: int
     parent_v: int
     function: CouplingFunction
+
+
+class IndependentCoordinates:
+    """Where joints and free bodies stand among the independent coordinates y and their rates.
+
+    Attributes:
+        joint_y: Places of the independent joints in y.
+        joint_w: Places of the independent joints in y'.
+        body_y: Places of each free body in y, 7 each.
+        body_w: Places of each free body in y', 6 each.
+    """
+
+    def __init__(self, robot: Robot, couplings: Couplings) -> None:
+        joints, bases = [robot.joint(name) for name in couplings.independent], robot.bases
+        q, v = couplings.q_index, couplings.v_index
+        self.joint_y = np.searchsorted(q, np.array([joint.q for joint in joints], dtype=np.intp))
+        self.joint_w = np.searchsorted(v, np.array([joint.v for joint in joints], dtype=np.intp))
+        self.body_y = [np.searchsorted(q, np.arange(b.q.start, b.q.stop)) for b in bases]
+        self.body_w = [np.searchsorted(v, np.arange(b.v.start, b.v.stop)) for b in bases]
+        self._y = np.concatenate([self.joint_y, *self.body_y])
+        self._w = np.concatenate([self.joint_w, *self.body_w])
+
+    def positions(self, joints_and_bodies: Array) -> Array:
+        """Coordinates y of joints, then bodies, shape (.., ny)."""
+        return self._arranged(joints_and_bodies, self._y)
+
+    def rates(self, joints_and_bodies: Array) -> Array:
+        """Rates y' or y'' of joints, then bodies, shape (.., nv_y)."""
+        return self._arranged(joints_and_bodies, self._w)
+
+    def _arranged(self, values: Array, at: NDArray[np.intp]) -> Array:
+        if not self.body_y:
+            return values
+        arranged = np.empty_like(values)
+        arranged[..., at] = values
+        return arranged

@@ -8,6 +8,8 @@ Source: F. E. Zajac, Crit. Rev. Biomed. Eng. 17, 1989, 359-411; M. Millard et al
 135, 2013, 021005, doi:10.1115/1.4023390, eq. 1 to 8.
 """
 
+from __future__ import annotations
+
 import math
 from typing import Any, NamedTuple
 
@@ -19,84 +21,11 @@ from mbd_ros.core.ranges import Within, is_value
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-# ---- pennation --------------------------------------------------------------------------------
-# Fibres at an angle to the tendon, in a muscle of constant thickness.
-#
-# With the thickness h = l_opt sin(a_opt) the angle a of fibres of length l follows from
-# sin(a) = h / l, and their length along the tendon is l cos(a) = sqrt(l^2 - h^2).
-#
-# Source: F. E. Zajac, Crit. Rev. Biomed. Eng. 17, 1989, 359-411; M. Millard et al., J. Biomech.
-# Eng.
-# 135, 2013, 021005, doi:10.1115/1.4023390.
-
-
 Angle = Within(0.0, 1.57)
-PennateNumber = Any  # float, symbol or array
 _FLAT = 0.01  # of the optimal length: the shortest fibre where nothing limits the angle
-
-
-class Pennation(NamedTuple):
-    """Geometry of the fibres of a muscle.
-
-    Attributes:
-        height: The h [m].
-        shortest: Least length of the fibres [m].
-        reach: Length of the shortest fibres along the tendon [m].
-    """
-
-    height: PennateNumber
-    shortest: PennateNumber
-    reach: PennateNumber
-
-    def along(self, k: Any, length: PennateNumber) -> PennateNumber:
-        """Fibre length [m] along the tendon [m]."""
-        if is_value(self.height, 0.0):
-            return length  # the root has no derivative at length 0
-        return k.sqrt(k.maximum(length * length - self.height * self.height, 0.0))
-
-    def fiber(self, k: Any, along: PennateNumber) -> PennateNumber:
-        """Length of fibres [m] whose length along the tendon [m] is given, at least the least."""
-        kept = k.maximum(along, self.reach)
-        if is_value(self.height, 0.0):
-            return kept
-        return k.sqrt(kept * kept + self.height * self.height)
-
-
-def pennation(optimal_length: PennateNumber, angle: float, largest: float) -> Pennation:
-    """Fibres by what is published of them.
-
-    Args:
-        optimal_length: The l_opt [m].
-        angle: The a_opt [rad].
-        largest: Angle beyond which fibres do not shorten [rad]; 0 for none.
-    """
-    if largest == 0.0:
-        shortest = _FLAT * optimal_length
-        return Pennation(0.0, shortest, shortest)
-    height = optimal_length * math.sin(angle)
-    return Pennation(height, height / math.sin(largest), height / math.tan(largest))
-
-
-# ---- contraction ------------------------------------------------------------------------------
-# Fibres and tendon in series: forces of a muscle whose activation is known.
-
-
 Number = Any  # float, symbol or array
 _POINT = 1.0e-9  # of the optimal length: where fibres without an angle have no length
-
-
-class Fiber(NamedTuple):
-    """Fibres at one time.
-
-    Attributes:
-        length: Of the fibres [m].
-        cosine: Of their angle to the tendon.
-        velocity: Rate of their length [m/s].
-    """
-
-    length: Number
-    cosine: Number
-    velocity: Number
+_LOOKED_AT, _HALVINGS = 400, 60  # lengths that are looked at, and halvings between two of them
 
 
 class Contraction(NamedTuple):
@@ -216,6 +145,82 @@ class Contraction(NamedTuple):
         return self.peak * self.optimal * area
 
 
+class Fiber(NamedTuple):
+    """Fibres at one time.
+
+    Attributes:
+        length: Of the fibres [m].
+        cosine: Of their angle to the tendon.
+        velocity: Rate of their length [m/s].
+    """
+
+    length: Number
+    cosine: Number
+    velocity: Number
+
+
+class Pennation(NamedTuple):
+    """Geometry of the fibres of a muscle of constant thickness, at an angle to its tendon.
+
+    With the thickness h = l_opt sin(a_opt) the angle a of fibres of length l follows from
+    sin(a) = h / l, and their length along the tendon is l cos(a) = sqrt(l^2 - h^2).
+
+    Attributes:
+        height: The h [m].
+        shortest: Least length of the fibres [m].
+        reach: Length of the shortest fibres along the tendon [m].
+    """
+
+    height: Number
+    shortest: Number
+    reach: Number
+
+    def along(self, k: Any, length: Number) -> Number:
+        """Fibre length [m] along the tendon [m]."""
+        if is_value(self.height, 0.0):
+            return length  # the root has no derivative at length 0
+        return k.sqrt(k.maximum(length * length - self.height * self.height, 0.0))
+
+    def fiber(self, k: Any, along: Number) -> Number:
+        """Length of fibres [m] whose length along the tendon [m] is given, at least the least."""
+        kept = k.maximum(along, self.reach)
+        if is_value(self.height, 0.0):
+            return kept
+        return k.sqrt(kept * kept + self.height * self.height)
+
+
+def contraction_of(
+    curves: Any,
+    *,
+    max_isometric_force: float,
+    optimal_fiber_length: float,
+    tendon_slack_length: float,
+    max_contraction_velocity: float,
+    pennation_angle: float,
+    maximum_pennation_angle: float,
+) -> Contraction:
+    """Fibres and tendon by what is published of a muscle.
+
+    Args:
+        curves: Normalised forces.
+        max_isometric_force: [N].
+        optimal_fiber_length: The l_opt [m].
+        tendon_slack_length: [m].
+        max_contraction_velocity: In optimal fibre lengths [1/s].
+        pennation_angle: The a_opt [rad].
+        maximum_pennation_angle: Angle beyond which fibres do not shorten [rad]; 0 for none.
+    """
+    optimal, fastest = optimal_fiber_length, max_contraction_velocity * optimal_fiber_length
+    if maximum_pennation_angle == 0.0:
+        pennation = Pennation(0.0, _FLAT * optimal, _FLAT * optimal)
+    else:
+        height, largest = optimal * math.sin(pennation_angle), maximum_pennation_angle
+        pennation = Pennation(height, height / math.sin(largest), height / math.tan(largest))
+    return Contraction(
+        max_isometric_force, optimal, tendon_slack_length, fastest, pennation, curves
+    )
+
+
 def check_sizes(
     tendon: str,
     tendon_slack_length: float,
@@ -234,13 +239,6 @@ def check_sizes(
             f"pennation_angle {pennation_angle:g} must be below maximum_pennation_angle "
             f"{maximum_pennation_angle:g}"
         )
-
-
-# ---- equilibrium ------------------------------------------------------------------------------
-# Fibre lengths at which a muscle with an elastic tendon is at rest.
-
-
-_LOOKED_AT, _HALVINGS = 400, 60  # lengths that are looked at, and halvings between two of them
 
 
 def stable_lengths(contraction: Contraction, a: float, length: float) -> list[float]:
@@ -267,6 +265,14 @@ def stable_lengths(contraction: Contraction, a: float, length: float) -> list[fl
     return found if pulled[0] else [shortest, *found]
 
 
+def _surplus(k: Any, contraction: Contraction, a: float, length: float, fiber_length: Any) -> Any:
+    """Force of the tendon along the fibres less that of fibres at rest, per peak force."""
+    relative, curves = fiber_length / contraction.optimal, contraction.curves
+    stretch = contraction.stretch(k, length, fiber_length)
+    pull = curves.tendon(k, stretch) / contraction.cosine(k, fiber_length)
+    return pull - curves.fiber(k, a, relative, 0.0 * relative) - curves.passive(k, relative)
+
+
 def _between(contraction: Contraction, a: float, length: float, ends: Array) -> float:
     """The zero of the surplus between two lengths, by halving."""
     low, high = ends.tolist()
@@ -277,11 +283,3 @@ def _between(contraction: Contraction, a: float, length: float, ends: Array) -> 
         else:
             high = middle
     return 0.5 * (low + high)
-
-
-def _surplus(k: Any, contraction: Contraction, a: float, length: float, fiber_length: Any) -> Any:
-    """Force of the tendon along the fibres less that of fibres at rest, per peak force."""
-    relative, curves = fiber_length / contraction.optimal, contraction.curves
-    stretch = contraction.stretch(k, length, fiber_length)
-    pull = curves.tendon(k, stretch) / contraction.cosine(k, fiber_length)
-    return pull - curves.fiber(k, a, relative, 0.0 * relative) - curves.passive(k, relative)

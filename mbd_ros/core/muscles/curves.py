@@ -13,16 +13,14 @@ simulation of musculotendon dynamics, J. Biomech. Eng. 135, 2013, 021005, doi:10
 G. Farin, Curves and Surfaces for CAGD, 2002, ch. 5.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.state import Array
-
-# ---- bezier -----------------------------------------------------------------------------------
-# Smooth curves made of quintic Bezier segments.
-
 
 _HALLEY = 6  # corrections of s; each triples the digits, four suffice for most segments
 _LAST = 1.0e-6  # a correction of this size leaves its cube
@@ -34,73 +32,8 @@ _GAUSS = (  # places and weights between 0 and 1, exact up to degree 11
     (0.8306046932331322, 0.1803807865240693),
     (0.966234757101576, 0.08566224618958518),
 )
-
 _LEAST, _MOST = 0.1, 0.9  # share of the way to the corner that curviness 0 and 1 stand for
-
 Number = Any  # float, symbol or array
-
-
-class Knot(NamedTuple):
-    """Where two segments meet.
-
-    Attributes:
-        x: Abscissa.
-        y: Value.
-        slope: dy/dx.
-    """
-
-    x: Number
-    y: Number
-    slope: Number
-
-
-class Piece(NamedTuple):
-    """One coordinate of a segment.
-
-    Attributes:
-        b0: Where it begins.
-        b12: Its first pair of control points.
-        b34: Its second pair.
-        b5: Where it ends.
-    """
-
-    b0: Number
-    b12: Number
-    b34: Number
-    b5: Number
-
-    def at(self, s: Number) -> tuple[Number, Number, Number]:
-        """b, db/ds and d2b/ds2."""
-        r = 1.0 - s
-        p, q, d = self.b12 - self.b0, self.b34 - self.b12, self.b5 - self.b34
-        s2, r2 = s * s, r * r
-        value = (
-            self.b0
-            + p * (1.0 - r2 * r2 * r)
-            + q * s2 * s * (10.0 + s * (6.0 * s - 15.0))
-            + d * s2 * s2 * s
-        )
-        slope = 5.0 * (p * r2 * r2 + 6.0 * q * s2 * r2 + d * s2 * s2)
-        bend = 20.0 * (d * s2 * s - p * r2 * r + 3.0 * q * s * r * (r - s))
-        return value, slope, bend
-
-    def beside(self, scale: Number, other: "Piece", factor: Number) -> "Piece":
-        """Scale times this one plus factor times another."""
-        pairs = zip(self, other, strict=True)
-        return Piece(*(scale * one + factor * more for one, more in pairs))
-
-    def where(self, k: Any, value: Number) -> Number:
-        """The s in 0 .. 1 at which an increasing b has a value, by Halley's method."""
-        span = self.b5 - self.b0
-        s = k.minimum(k.maximum((value - self.b0) / span, 0.0), 1.0)
-        for _ in range(_HALLEY):
-            b, slope, bend = self.at(s)
-            lack = b - value
-            step = 2.0 * lack * slope / (2.0 * slope * slope - lack * bend)
-            s = k.minimum(k.maximum(s - step, 0.0), 1.0)
-            if isinstance(step, float) and -_LAST < step < _LAST:
-                break
-        return s
 
 
 class BezierCurve:
@@ -194,8 +127,67 @@ def _area(segment: Sequence[Number], s: Number) -> Number:
     return s * sum(w * over.at(g * s)[0] * along.at(g * s)[1] for g, w in _GAUSS)
 
 
-# ---- array numbers ----------------------------------------------------------------------------
-# Functions of arrays under the names that kinematics k has for numbers and for symbols.
+class Knot(NamedTuple):
+    """Where two segments meet.
+
+    Attributes:
+        x: Abscissa.
+        y: Value.
+        slope: dy/dx.
+    """
+
+    x: Number
+    y: Number
+    slope: Number
+
+
+class Piece(NamedTuple):
+    """One coordinate of a segment.
+
+    Attributes:
+        b0: Where it begins.
+        b12: Its first pair of control points.
+        b34: Its second pair.
+        b5: Where it ends.
+    """
+
+    b0: Number
+    b12: Number
+    b34: Number
+    b5: Number
+
+    def at(self, s: Number) -> tuple[Number, Number, Number]:
+        """b, db/ds and d2b/ds2."""
+        r = 1.0 - s
+        p, q, d = self.b12 - self.b0, self.b34 - self.b12, self.b5 - self.b34
+        s2, r2 = s * s, r * r
+        value = (
+            self.b0
+            + p * (1.0 - r2 * r2 * r)
+            + q * s2 * s * (10.0 + s * (6.0 * s - 15.0))
+            + d * s2 * s2 * s
+        )
+        slope = 5.0 * (p * r2 * r2 + 6.0 * q * s2 * r2 + d * s2 * s2)
+        bend = 20.0 * (d * s2 * s - p * r2 * r + 3.0 * q * s * r * (r - s))
+        return value, slope, bend
+
+    def beside(self, scale: Number, other: Piece, factor: Number) -> Piece:
+        """Scale times this one plus factor times another."""
+        pairs = zip(self, other, strict=True)
+        return Piece(*(scale * one + factor * more for one, more in pairs))
+
+    def where(self, k: Any, value: Number) -> Number:
+        """The s in 0 .. 1 at which an increasing b has a value, by Halley's method."""
+        span = self.b5 - self.b0
+        s = k.minimum(k.maximum((value - self.b0) / span, 0.0), 1.0)
+        for _ in range(_HALLEY):
+            b, slope, bend = self.at(s)
+            lack = b - value
+            step = 2.0 * lack * slope / (2.0 * slope * slope - lack * bend)
+            s = k.minimum(k.maximum(s - step, 0.0), 1.0)
+            if isinstance(step, float) and -_LAST < step < _LAST:
+                break
+        return s
 
 
 class ArrayNumbers:

@@ -15,6 +15,8 @@ A. Falisse et al., J. R. Soc. Interface 16, 2019, 20190402; least heat by B. R. 
 K. G. M. Gerritsen, P. E. Martin, Comput. Methods Biomech. Biomed. Eng. 6, 2003, 99-111.
 """
 
+from __future__ import annotations
+
 import math
 from typing import Any, NamedTuple
 

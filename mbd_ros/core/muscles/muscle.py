@@ -1,5 +1,7 @@
 """Muscles of all types: a load along a path, with activation and fibre length as states."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple, Protocol
@@ -10,24 +12,22 @@ from mbd_ros.core.contracts import Actuator, Channel, Internal, Now, Output, Val
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.loads.path_load import PathLoad
-from mbd_ros.core.muscles.contraction import Contraction, Fiber
+from mbd_ros.core.muscles.contraction import Contraction, Fiber, stable_lengths
 from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.core.muscles.metabolic_rate import USUAL_METABOLISM, Metabolism, metabolic_rate
 from mbd_ros.core.state import Array, State
 
-# ---- muscle -----------------------------------------------------------------------------------
-# Muscles of all types: a load along a path, with activation and fibre length as states.
-
-
-class ActivationDynamics(Protocol):
-    """How activation follows excitation."""
-
-    @property
-    def least(self) -> Any:
-        """Least activation."""
-
-    def rate(self, k: Any, e: Any, a: Any) -> Any:
-        """Rate of the activation a under the excitation e [1/s]."""
+_OUTPUTS = (
+    Output("tension", "N"),
+    Output("length", "m"),
+    Output("fiber_velocity", "m/s"),
+    Output("active_force", "N"),
+    Output("passive_force", "N"),
+    Output("fiber_power", "W"),
+    Output("damping_loss", "W"),
+)
+Number = Any  # float, symbol or array
+_LEAST, _MORE = 0.5, 1.5  # of the factor of both time constants
 
 
 class Muscle(PathLoad, Actuator):
@@ -118,8 +118,6 @@ class Muscle(PathLoad, Actuator):
             activation: From its least value to 1.
             length: Of the path [m].
         """
-        from mbd_ros.core.muscles.contraction import stable_lengths  # asked for at starts only
-
         return stable_lengths(self.contraction, activation, length)
 
     def command(self, torque: Array, x: State) -> Array:
@@ -145,10 +143,8 @@ class Muscle(PathLoad, Actuator):
         length, slope = self.path.measured(k, x)
         speed = k.dot(slope, x.v)
         fiber = self._fiber(k, x, length, speed)
-        active, damping = (
-            self.contraction.active(k, activation, fiber),
-            self.contraction.damping(fiber),
-        )
+        active = self.contraction.active(k, activation, fiber)
+        damping = self.contraction.damping(fiber)
         shown = (
             *(self.tension(k, x, u, length, speed), length, fiber.velocity, active),
             self.contraction.passive(k, fiber),
@@ -221,23 +217,15 @@ class Muscle(PathLoad, Actuator):
         return self.contraction.beside_elastic_tendon(k, activation, length, fiber_length)
 
 
-_OUTPUTS = (
-    Output("tension", "N"),
-    Output("length", "m"),
-    Output("fiber_velocity", "m/s"),
-    Output("active_force", "N"),
-    Output("passive_force", "N"),
-    Output("fiber_power", "W"),
-    Output("damping_loss", "W"),
-)
+class ActivationDynamics(Protocol):
+    """How activation follows excitation."""
 
+    @property
+    def least(self) -> Any:
+        """Least activation."""
 
-# ---- activation -------------------------------------------------------------------------------
-# Activation dynamics: how activation a follows excitation e.
-
-
-Number = Any  # float, symbol or array
-_LEAST, _MORE = 0.5, 1.5  # of the factor of both time constants
+    def rate(self, k: Any, e: Any, a: Any) -> Any:
+        """Rate of the activation a under the excitation e [1/s]."""
 
 
 class FirstOrder(NamedTuple):

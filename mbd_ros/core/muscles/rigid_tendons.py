@@ -5,6 +5,8 @@ polynomial of degree 5 through Chebyshev points, which leaves some 1e-12 of the 
 length or a speed is beyond its table, all muscles are asked directly.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -17,22 +19,6 @@ from mbd_ros.core.state import Array
 
 _CELLS, _DEGREE = 512, 5  # of a table between two knots
 _LENGTHS, _SPEEDS = (0.0, 2.5), (-2.0, 2.0)  # what tables cover, per optimal length and vmax
-
-
-class RigidForces(NamedTuple):
-    """What muscles beside rigid tendons exert, shape (.., n) each.
-
-    Attributes:
-        active: Force along the tendon at full activation [N].
-        passive: Elastic force of the fibres along the tendon [N].
-        fiber_length: Of the fibres [m].
-        fiber_velocity: Its rate [m/s].
-    """
-
-    active: Array
-    passive: Array
-    fiber_length: Array
-    fiber_velocity: Array
 
 
 class RigidTendons:
@@ -81,6 +67,15 @@ class RigidTendons:
         return active, passive
 
 
+def _stacked(contractions: Sequence[Contraction]) -> Contraction:
+    """Sizes of all muscles as arrays, without their curves."""
+    columns = zip(*(one[:4] for one in contractions), strict=True)
+    pennations = zip(*(one.pennation for one in contractions), strict=True)
+    peak, optimal, slack, fastest = (np.array(column) for column in columns)
+    pennation = Pennation(*(np.array(column) for column in pennations))
+    return Contraction(peak, optimal, slack, fastest, pennation, None)
+
+
 class _Table(NamedTuple):
     """A curve in cells.
 
@@ -91,6 +86,39 @@ class _Table(NamedTuple):
 
     ends: Array
     rows: Array
+
+
+def _tables(curves: Any) -> list[_Table]:
+    """Active force-length, force-velocity at full activation, and passive force-length curve."""
+    active, velocity, passive = curves.knots
+    isometric = curves.active(ArrayNumbers, 1.0)
+
+    def at_speed(speed: Array) -> Array:
+        found: Array = curves.fiber(ArrayNumbers, 1.0, 1.0, speed) / isometric
+        return found
+
+    def of_length(curve: Callable[[Any, Any], Any]) -> Callable[[Array], Array]:
+        return lambda length: curve(ArrayNumbers, length)
+
+    return [
+        _table(of_length(curves.active), active, _LENGTHS),
+        _table(at_speed, velocity, _SPEEDS),
+        _table(of_length(curves.passive), passive, _LENGTHS),
+    ]
+
+
+def _table(
+    curve: Callable[[Array], Array], knots: Sequence[float], bounds: tuple[float, float]
+) -> _Table:
+    """A curve between bounds, smooth from knot to knot."""
+    low, high = bounds
+    ends = np.array([low, *(knot for knot in knots if low < knot < high), high])
+    nodes = 0.5 * (chebyshev.chebpts1(_DEGREE + 1) + 1.0)
+    begin = np.linspace(ends[:-1], ends[1:], _CELLS, endpoint=False).T.ravel()
+    width = np.repeat(np.diff(ends) / _CELLS, _CELLS)
+    values = curve((begin[:, None] + width[:, None] * nodes).ravel()).reshape(-1, _DEGREE + 1)
+    to_powers = np.linalg.inv(np.vander(nodes))
+    return _Table(ends, values.dot(to_powers.T))
 
 
 class _Tables:
@@ -136,43 +164,17 @@ class _Tables:
         return value
 
 
-def _tables(curves: Any) -> list[_Table]:
-    """Active force-length, force-velocity at full activation, and passive force-length curve."""
-    active, velocity, passive = curves.knots
-    isometric = curves.active(ArrayNumbers, 1.0)
+class RigidForces(NamedTuple):
+    """What muscles beside rigid tendons exert, shape (.., n) each.
 
-    def at_speed(speed: Array) -> Array:
-        found: Array = curves.fiber(ArrayNumbers, 1.0, 1.0, speed) / isometric
-        return found
+    Attributes:
+        active: Force along the tendon at full activation [N].
+        passive: Elastic force of the fibres along the tendon [N].
+        fiber_length: Of the fibres [m].
+        fiber_velocity: Its rate [m/s].
+    """
 
-    def of_length(curve: Callable[[Any, Any], Any]) -> Callable[[Array], Array]:
-        return lambda length: curve(ArrayNumbers, length)
-
-    return [
-        _table(of_length(curves.active), active, _LENGTHS),
-        _table(at_speed, velocity, _SPEEDS),
-        _table(of_length(curves.passive), passive, _LENGTHS),
-    ]
-
-
-def _table(
-    curve: Callable[[Array], Array], knots: Sequence[float], bounds: tuple[float, float]
-) -> _Table:
-    """A curve between bounds, smooth from knot to knot."""
-    low, high = bounds
-    ends = np.array([low, *(knot for knot in knots if low < knot < high), high])
-    nodes = 0.5 * (chebyshev.chebpts1(_DEGREE + 1) + 1.0)
-    begin = np.linspace(ends[:-1], ends[1:], _CELLS, endpoint=False).T.ravel()
-    width = np.repeat(np.diff(ends) / _CELLS, _CELLS)
-    values = curve((begin[:, None] + width[:, None] * nodes).ravel()).reshape(-1, _DEGREE + 1)
-    to_powers = np.linalg.inv(np.vander(nodes))
-    return _Table(ends, values.dot(to_powers.T))
-
-
-def _stacked(contractions: Sequence[Contraction]) -> Contraction:
-    """Sizes of all muscles as arrays, without their curves."""
-    columns = zip(*(one[:4] for one in contractions), strict=True)
-    pennations = zip(*(one.pennation for one in contractions), strict=True)
-    peak, optimal, slack, fastest = (np.array(column) for column in columns)
-    pennation = Pennation(*(np.array(column) for column in pennations))
-    return Contraction(peak, optimal, slack, fastest, pennation, None)
+    active: Array
+    passive: Array
+    fiber_length: Array
+    fiber_velocity: Array

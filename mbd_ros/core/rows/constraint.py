@@ -1,4 +1,8 @@
-"""The contract of constraints: geometry, and what their multipliers may be."""
+"""The contract of constraints: geometry, and what their multipliers may be.
+
+With w = g'' + kd g' + kp g and the multiplier lam of a row, a law bounds lam: w = 0 inside its
+bounds, w >= 0 at the lower one and w <= 0 at the upper one.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -11,13 +15,6 @@ from mbd_ros.core.contracts import Part, Wrench
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot import Joint
 from mbd_ros.core.state import Array, Mode, State
-
-# ---- multiplier laws --------------------------------------------------------------------------
-# What rows hold, and what their multipliers may be.
-#
-# With w = g'' + kd g' + kp g and the multiplier lam of a row, a law bounds lam: w = 0 inside its
-# bounds, w >= 0 at the lower one and w <= 0 at the upper one.
-
 
 Bound = float | Sequence[float] | Callable[..., Any]
 """One number, one a row, or a function (k, x) of the state that gives one of these."""
@@ -106,10 +103,6 @@ def cone(mu: float | Sequence[float], e: float = 0.0) -> Law:
 def drive(limit: float = math.inf) -> Law:
     """Rows whose multipliers are efforts of drives, |lam| <= limit [N or N·m]."""
     return Law(Kind.DRIVE, -limit, limit)
-
-
-# ---- constraint -------------------------------------------------------------------------------
-# The contract of constraints: geometry, and what their multipliers may be.
 
 
 class Row(NamedTuple):

@@ -1,4 +1,11 @@
-"""A = J M^-1 J' factorised, with its rank."""
+"""The Delassus matrix A = J M^-1 J' factorised, with its rank; and how large rows usually are.
+
+At a toggle a row may vanish altogether: scaled by itself, rounding would look like a direction.
+The characteristic sizes of masses and rows are those of many configurations, so that one which
+vanishes shows.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -22,16 +29,8 @@ from mbd_ros.core.thresholds import (
 )
 from mbd_ros.errors import SolveError
 
-# ---- row factor -------------------------------------------------------------------------------
-# A = J M^-1 J' factorised, with its rank.
-
-
 _FACTORISED = eigenpy.ComputationInfo.Success
-
-
-def is_rounding(J: Array) -> NDArray[np.bool_]:
-    """Whether rows are rounding alone, since no joint moves them, shape (m,)."""
-    return np.abs(J).max(axis=1, initial=0.0) <= ROUNDED_ROW
+_PROBES = 9
 
 
 class RowFactor:
@@ -121,18 +120,15 @@ class RowFactor:
         return self._scale * r if r.ndim == 1 else self._scale[:, None] * r
 
 
-# ---- characteristic sizes ---------------------------------------------------------------------
-# How large masses and rows usually are, so that one which vanishes shows.
-
-
-_PROBES = 9
+def is_rounding(J: Array) -> NDArray[np.bool_]:
+    """Whether rows are rounding alone, since no joint moves them, shape (m,)."""
+    return np.abs(J).max(axis=1, initial=0.0) <= ROUNDED_ROW
 
 
 class UsualSizes(NamedTuple):
     """Medians over configurations all over the range of the joints, closed or not.
 
-    At a toggle a row may vanish altogether: scaled by itself, rounding would look like a
-    direction. What a row usually is does not depend on where a motion has been.
+    What a row usually is does not depend on where a motion has been.
 
     Attributes:
         inertia: Diagonal of M [kg·m^2 or kg], shape (nv,).
@@ -145,20 +141,6 @@ class UsualSizes(NamedTuple):
     mobility: Array
     square: Array
     weights: Array
-
-
-def usual_norms(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> Array:
-    """Norms of columns in the metric M^-1, shape (k,).
-
-    Args:
-        at: Configuration -> M, shape (nv, nv), and the columns, shape (nv, k).
-    """
-    found = []
-    with np.errstate(all="ignore"):
-        for q in configurations(robot):
-            M, columns = at(q)
-            found.append(np.sqrt(_squares(M, columns)))
-    return _median(found)
 
 
 def usual_sizes(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> UsualSizes:
@@ -179,19 +161,6 @@ def usual_sizes(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> Usu
     return UsualSizes(inertia, mobility, square.sum(axis=1), weights)
 
 
-def configurations(robot: Robot) -> list[Array]:
-    """Configurations over the range of all joints, a turn or a metre where it has no ends."""
-    turns = np.sin(np.outer(np.arange(1, _PROBES + 1), np.arange(1.0, robot.model.nv + 1)))
-    middle, half = np.zeros(robot.model.nv), np.ones(robot.model.nv)
-    for joint in robot.joints:
-        half[joint.v] = most = 1.0 if joint.kind == "prismatic" else np.pi
-        if joint.upper - joint.lower < np.inf:
-            middle[joint.v] = 0.5 * (joint.lower + joint.upper)
-            half[joint.v] = min(0.5 * (joint.upper - joint.lower), most)
-    neutral = robot.neutral()
-    return [pin.integrate(robot.model, neutral, middle + half * turn) for turn in turns]
-
-
 def _squares(M: Array, columns: Array) -> Array:
     """The c' M^-1 c of every column, shape (k,)."""
     X = eigenpy.LLT(M).solve(columns).reshape(columns.shape)  # eigenpy flattens one column
@@ -203,3 +172,30 @@ def _median(values: Any) -> Array:
     stacked = np.array(values)
     kept = np.where(np.isfinite(stacked), stacked, 0.0)
     return np.asarray(np.median(kept, axis=0), dtype=np.float64)
+
+
+def usual_norms(robot: Robot, at: Callable[[Array], tuple[Array, Array]]) -> Array:
+    """Norms of columns in the metric M^-1, shape (k,).
+
+    Args:
+        at: Configuration -> M, shape (nv, nv), and the columns, shape (nv, k).
+    """
+    found = []
+    with np.errstate(all="ignore"):
+        for q in configurations(robot):
+            M, columns = at(q)
+            found.append(np.sqrt(_squares(M, columns)))
+    return _median(found)
+
+
+def configurations(robot: Robot) -> list[Array]:
+    """Configurations over the range of all joints, a turn or a metre where it has no ends."""
+    turns = np.sin(np.outer(np.arange(1, _PROBES + 1), np.arange(1.0, robot.model.nv + 1)))
+    middle, half = np.zeros(robot.model.nv), np.ones(robot.model.nv)
+    for joint in robot.joints:
+        half[joint.v] = most = 1.0 if joint.kind == "prismatic" else np.pi
+        if joint.upper - joint.lower < np.inf:
+            middle[joint.v] = 0.5 * (joint.lower + joint.upper)
+            half[joint.v] = min(0.5 * (joint.upper - joint.lower), most)
+    neutral = robot.neutral()
+    return [pin.integrate(robot.model, neutral, middle + half * turn) for turn in turns]

@@ -4,7 +4,7 @@ from typing import Annotated, Literal
 
 from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.muscles.contraction import Angle, Contraction, check_sizes, pennation
+from mbd_ros.core.muscles.contraction import Angle, check_sizes, contraction_of
 from mbd_ros.core.muscles.degroote_fregly_curves import DeGrooteFreglyCurves
 from mbd_ros.core.muscles.muscle import Muscle, SmoothFirstOrder
 from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within
@@ -74,11 +74,14 @@ class DegrooteFregly(Muscle):
         curves = DeGrooteFreglyCurves(
             passive_shape, passive_strain, tendon_strain, active_width, damping
         )
-        contraction = Contraction(
-            *(max_isometric_force, optimal_fiber_length, tendon_slack_length),
-            max_contraction_velocity * optimal_fiber_length,
-            pennation(optimal_fiber_length, pennation_angle, maximum_pennation_angle),
+        contraction = contraction_of(
             curves,
+            max_isometric_force=max_isometric_force,
+            optimal_fiber_length=optimal_fiber_length,
+            tendon_slack_length=tendon_slack_length,
+            max_contraction_velocity=max_contraction_velocity,
+            pennation_angle=pennation_angle,
+            maximum_pennation_angle=maximum_pennation_angle,
         )
         times = (activation_time, deactivation_time, minimum_activation)
         super().__init__(path, contraction, SmoothFirstOrder(*times, activation_steepness), tendon)
