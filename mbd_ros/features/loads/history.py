@@ -1,4 +1,6 @@
-"""Loads on a body over time, and the instants that matter."""
+"""Loads on a body over time, a slot each that stays the same, and the instants that matter."""
+
+from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
@@ -9,22 +11,11 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
-from mbd_ros.features.loads.free_body import Balance, BodyLoad, BodyMotion, balances
+from mbd_ros.features.loads.balance import Balance, balances
+from mbd_ros.features.loads.free_body import BodyLoad, BodyMotion
 
-# ---- history ----------------------------------------------------------------------------------
-# Loads on a body over time, a slot each that stays the same from sample to sample.
-
-
-class Slot(NamedTuple):
-    """A load on the body.
-
-    Attributes:
-        name: Of the joint or part; numbered where a part acts at several points.
-        kind: As of a `BodyLoad`.
-    """
-
-    name: str
-    kind: str
+CHOSEN = "chosen"
+_NOTHING = 1.0e-9  # of the largest load: a peak below it is rounding
 
 
 class History(NamedTuple):
@@ -67,27 +58,28 @@ class History(NamedTuple):
         return balances(self.point, self.force, self.moment, self.inertia, self.motion)
 
 
-class Arrays(NamedTuple):
-    """Loads in slots.
+class Slot(NamedTuple):
+    """A load on the body.
 
     Attributes:
-        slots: The loads.
-        point: As of a `History`.
-        force: Likewise.
-        moment: Likewise.
+        name: Of the joint or part; numbered where a part acts at several points.
+        kind: As of a `BodyLoad`.
     """
 
-    slots: tuple[Slot, ...]
-    point: Array
-    force: Array
-    moment: Array
+    name: str
+    kind: str
 
 
-def in_slots(samples: Sequence[Sequence[BodyLoad]]) -> Arrays:
+def in_slots(
+    samples: Sequence[Sequence[BodyLoad]],
+) -> tuple[tuple[Slot, ...], Array, Array, Array]:
     """Loads of samples in slots; a path that lets go of a point exerts nothing there.
 
     Args:
         samples: The loads of each sample; those of a part stand in the order of its points.
+
+    Returns:
+        Slots, points, forces and moments, as of a `History`.
     """
     parts = [_by_part(loads) for loads in samples]
     whole: dict[tuple[str, str], list[BodyLoad]] = {}
@@ -110,7 +102,7 @@ def in_slots(samples: Sequence[Sequence[BodyLoad]]) -> Arrays:
             for place, load in zip(_places(loads, whole[key]), loads, strict=True):
                 slot = begin[key] + place
                 point[row, slot], force[row, slot], moment[row, slot] = load[2:]
-    return Arrays(slots, point, force, moment)
+    return slots, point, force, moment
 
 
 def _by_part(loads: Sequence[BodyLoad]) -> dict[tuple[str, str], list[BodyLoad]]:
@@ -131,14 +123,6 @@ def _places(loads: Sequence[BodyLoad], whole: Sequence[BodyLoad]) -> Sequence[in
             for i, load in zip(places, loads, strict=True)
         ),
     )
-
-
-# ---- instants ---------------------------------------------------------------------------------
-# Instants of a history that matter: peaks of its loads, and those that were chosen.
-
-
-CHOSEN = "chosen"
-_NOTHING = 1.0e-9  # of the largest load: a peak below it is rounding
 
 
 class Instant(NamedTuple):

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path as File
-from pathlib import Path as PathlibPath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -11,17 +10,11 @@ from numpy.typing import NDArray
 from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError, ModelError, SceneError, SolveError
-from mbd_ros.features.loads.fem.mesh import Units, units_of
-from mbd_ros.features.loads.free_body import (
-    CONTACT,
-    ActingWrenches,
-    BodyLoad,
-    BodyMotion,
-    FreeBody,
-    Named,
-    inertial_load,
-)
+from mbd_ros.features.loads.acting_wrenches import CONTACT, ActingWrenches, Named
+from mbd_ros.features.loads.balance import inertial_load
+from mbd_ros.features.loads.free_body import BodyLoad, BodyMotion, FreeBody
 from mbd_ros.features.loads.history import History, Instant, in_slots, instants_of
+from mbd_ros.features.loads.units import Units, units_of
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import (
@@ -46,195 +39,10 @@ from mbd_ros.scene.built_scene import Scene
 if TYPE_CHECKING:
     from mbd_ros.features.loads.fem.finite_elements import MeshTask
 
-
-# ---- tensions ---------------------------------------------------------------------------------
-# Tensions of muscles and other commanded paths, as another job found them.
-
-
 _QUANTITIES = "tension", "force"  # as `simulate` and `muscles` call it
-
-
-def commanded_paths(scene: Scene) -> dict[str, Path]:
-    """Paths of muscles and of other parts whose tension a motion does not show."""
-    known = {id(part) for part in scene.acting}
-    every = (*scene.commanded, *scene.forces)
-    return {p.name: p.path for p in every if hasattr(p, "path") and id(p) not in known}
-
-
-def tensions_at(
-    paths: Mapping[str, Path],
-    motion: Source,
-    given: Source | None,
-    stamps: NDArray[np.int64],
-    say: Say,
-) -> Array:
-    """Tensions at the samples of a motion [N], shape (n, paths).
-
-    Args:
-        paths: By name of the part that pulls.
-        motion: May carry them, in columns `<part>.tension` or `<part>.force`.
-        given: Table with such columns, linear between its rows; None for those of the motion.
-        stamps: Of the samples [ns], shape (n,).
-        say: Is told whose are taken as 0.
-
-    Raises:
-        DataError: A table that has none of them, or does not cover the motion.
-    """
-    found = np.zeros((len(stamps), len(paths)))
-    source = motion if given is None else given
-    table = _table(source)
-    columns = {} if table is None else _columns(table, paths)
-    if given is not None and not columns:
-        wanted = listed([f"{name}.{quantity}" for name in paths for quantity in _QUANTITIES])
-        raise DataError(f"--muscle-forces {name_of(given)}: no column {wanted or 'is asked for'}")
-    if table is not None and columns:
-        at = motion_stamps(table, name_of(source))
-        if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
-            covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]])
-            asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
-            raise DataError(f"{name_of(source)}: tensions at {covered} s do not cover {asked} s")
-        since, times = (at - at[0]) * NANOSECOND, (stamps - at[0]) * NANOSECOND
-        for i, name in enumerate(paths):
-            if name in columns:
-                found[:, i] = np.interp(times, since, columns[name])
-    if lacking := [name for name in paths if name not in columns]:
-        say(f"tensions of {listed(lacking)} are taken as 0; --muscle-forces gives them")
-    return found
-
-
-def _table(source: Source) -> Table | None:
-    if isinstance(source, Result):
-        return source[MAIN]
-    return None if is_bag(source) else read_result(File(source))[MAIN]
-
-
-def _columns(table: Table, paths: Mapping[str, Path]) -> dict[str, Array]:
-    found = {}
-    for name in paths:
-        for quantity in _QUANTITIES:
-            column = f"{name}.{quantity}"
-            if name not in found and column in table:
-                values = np.asarray(table[column], dtype=np.float64)
-                if not np.isfinite(values).all():
-                    raise DataError(f"column {column} has gaps")
-                found[name] = values
-    return found
-
-
-# ---- job --------------------------------------------------------------------------------------
-# Loads on a body that is cut free: `mbd-ros loads`.
-
-
-# Loads on a body as tables.
-
 INSTANTS = "instants"
-
-
-def tables_of(history: History, instants: Sequence[Instant], units: Units) -> dict[str, Table]:
-    """Table `samples` with all loads, and table `instants` with the marked ones."""
-    marked = np.zeros(len(history.stamps))
-    marked[[each.row for each in instants]] = 1.0
-    columns = [*time_columns(history.stamps), Column("is_instant", marked)]
-    columns += _load_columns(history, units)
-    columns += _inertial_columns(history, units)
-    balance = history.balance()
-    left, turning = (np.linalg.norm(each, axis=1) for each in balance[:2])
-    columns += [
-        Column("balance.force", left, "N"),
-        Column("balance.torque", turning * units.per_metre, units.moment),
-        Column("balance.off", balance.off),
-    ]
-    return {MAIN: Table(columns), INSTANTS: _instants(history, instants, units)}
-
-
-def about_body(history: History, units: Units) -> dict[str, Any]:
-    """What the metadata of the result says of the body, in its units."""
-    inertia, L = history.inertia, units.per_metre
-    mass = float(inertia.mass) * (1.0 if units.mass == "kg" else 1e-3)
-    per_mass = mass / float(inertia.mass)
-    return {
-        "body": history.body,
-        "links": list(history.links),
-        "joints": list(history.joints),
-        "kinds": {slot.name: slot.kind for slot in history.slots},
-        "units": {"length": units.name, "mass": units.mass, "force": "N", "time": "s"},
-        "mass": mass,
-        "mass_centre": (inertia.lever * L).tolist(),
-        "inertia": (inertia.inertia * per_mass * L**2).tolist(),
-    }
-
-
-def _load_columns(history: History, units: Units) -> list[Column]:
-    columns, L = [], units.per_metre
-    for i, slot in enumerate(history.slots):
-        columns += _vectors(f"{slot.name}.force_", history.force[:, i], "N", history.body)
-        moment = history.moment[:, i] * L
-        columns += _vectors(f"{slot.name}.torque_", moment, units.moment, history.body)
-        point = history.point[:, i] * L
-        columns += _vectors(f"{slot.name}.point_", point, units.name, history.body)
-    return columns
-
-
-def _inertial_columns(history: History, units: Units) -> list[Column]:
-    """Motion of the body, and what weight and inertia exert on it about its mass centre."""
-    body, L, (gravity, push, spin, turn) = history.body, units.per_metre, history.motion
-    force, moment = inertial_load(history.inertia, history.motion)
-    weight = history.inertia.mass * gravity
-    return [
-        *_vectors("gravity.acceleration_", gravity * L, units.acceleration, body),
-        *_vectors(f"{body}.linear_acceleration.", push * L, units.acceleration, body),
-        *_vectors(f"{body}.angular_velocity.", spin, "rad/s", body),
-        *_vectors(f"{body}.angular_acceleration.", turn, "rad/s^2", body),
-        *_vectors("weight.force_", weight, "N", body),
-        *_vectors("inertia.force_", force - weight, "N", body),
-        *_vectors("inertia.torque_", moment * L, units.moment, body),
-    ]
-
-
-def _instants(history: History, instants: Sequence[Instant], units: Units) -> Table:
-    turns = np.array([each.name.endswith(".torque") for each in instants], dtype=bool)
-    values = np.array([each.value for each in instants]) * np.where(turns, units.per_metre, 1.0)
-    rows = [each.row for each in instants]
-    return Table(
-        [
-            Column("time", history.stamps[rows] * NANOSECOND, "s"),
-            Column("row", np.array(rows, dtype=np.int64)),
-            Column("name", np.array([each.name for each in instants], dtype=np.str_)),
-            Column("value", values),
-        ]
-    )
-
-
-def _vectors(name: str, values: Array, unit: str, frame: str) -> list[Column]:
-    return [
-        Column(f"{name}{axis}", np.array(column), unit, frame)
-        for axis, column in zip("xyz", values.T, strict=True)
-    ]
-
-
 _OFF = 1.0e-9  # share of the largest load that rounding leaves
-
-
-class LoadsTask(NamedTuple):
-    """What is asked for.
-
-    Attributes:
-        motion: As inverse dynamics takes it.
-        body: Link whose loads are wanted.
-        joints: Fixed joints at which the body ends.
-        muscle_forces: Table of tensions; None for those of the motion.
-        at: Chosen instants [s].
-        units: m or mm, see `units`.
-        mesh: What takes the loads, for .inp, .feb and .vtu.
-    """
-
-    motion: Task
-    body: str
-    joints: Sequence[str] = ()
-    muscle_forces: Source | None = None
-    at: Sequence[float] = ()
-    units: str = "m"
-    mesh: "MeshTask | None" = None
+MESHED = ".inp", ".feb", ".vtu"
 
 
 def loads(
@@ -250,7 +58,7 @@ def loads(
     cutoff: float | None = None,
     half_width: int | None = None,
     wrenches: Source | None = None,
-    external: str | PathlibPath | None = None,
+    external: str | File | None = None,
     time_range: tuple[float, float] | None = None,
     wrench_axes: str | None = None,
     topic: str = "/joint_states",
@@ -303,7 +111,7 @@ def loads(
     asked = stance_of(stance, stance_gap, stance_speed)
     given = Derivatives(derivatives, cutoff, half_width)
     with watching(progress):
-        file = None if external is None else PathlibPath(external)
+        file = None if external is None else File(external)
         more: dict[str, Any] = {"wrench_axes": wrench_axes, "stance": asked}
         more |= {"bounds": bounds, "external": file, "time_range": time_range}
         task = Task(motion, given, wrenches, topic, **more)
@@ -312,6 +120,28 @@ def loads(
     if say is None:
         result.metadata["remarks"] = remarks
     return result
+
+
+class LoadsTask(NamedTuple):
+    """What is asked for.
+
+    Attributes:
+        motion: As inverse dynamics takes it.
+        body: Link whose loads are wanted.
+        joints: Fixed joints at which the body ends.
+        muscle_forces: Table of tensions; None for those of the motion.
+        at: Chosen instants [s].
+        units: m or mm, see `units`.
+        mesh: What takes the loads, for .inp, .feb and .vtu.
+    """
+
+    motion: Task
+    body: str
+    joints: Sequence[str] = ()
+    muscle_forces: Source | None = None
+    at: Sequence[float] = ()
+    units: str = "m"
+    mesh: "MeshTask | None" = None
 
 
 def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History, list[Instant]]:
@@ -394,14 +224,7 @@ def _check(history: History, where: str, say: Say) -> None:
     say(text)
 
 
-# ---- writing ----------------------------------------------------------------------------------
-# Results of `mbd-ros loads` in files: tables, and meshes with their loads.
-
-
-MESHED = ".inp", ".feb", ".vtu"
-
-
-def loads_to(scene: Scene, task: LoadsTask, out: PathlibPath, say: Say) -> None:
+def loads_to(scene: Scene, task: LoadsTask, out: File, say: Say) -> None:
     """Read a motion, write the loads on a body.
 
     Args:
@@ -415,7 +238,7 @@ def loads_to(scene: Scene, task: LoadsTask, out: PathlibPath, say: Say) -> None:
     """
     motion = task.motion
     sources = motion.motion, motion.wrenches, motion.external, task.muscle_forces
-    refuse_overwriting(out, *(source for source in sources if isinstance(source, PathlibPath)))
+    refuse_overwriting(out, *(source for source in sources if isinstance(source, File)))
     if out.suffix in MESHED:
         _finite_elements(scene, task, out, say)
         return
@@ -427,7 +250,7 @@ def loads_to(scene: Scene, task: LoadsTask, out: PathlibPath, say: Say) -> None:
     say(f"{result[MAIN].rows} samples of loads on {task.body} -> {out}")
 
 
-def _finite_elements(scene: Scene, task: LoadsTask, out: PathlibPath, say: Say) -> None:
+def _finite_elements(scene: Scene, task: LoadsTask, out: File, say: Say) -> None:
     """Write a mesh with its loads."""
     from mbd_ros.features.loads.fem.finite_elements import body_of, write_body  # for meshes only
 
@@ -439,3 +262,152 @@ def _finite_elements(scene: Scene, task: LoadsTask, out: PathlibPath, say: Say) 
     body, steps, text = body_of(history, instants, task.mesh, units_of(task.units))
     say(text)
     write_body(body, steps, out, say, task.mesh.amplitudes)
+
+
+def tables_of(history: History, instants: Sequence[Instant], units: Units) -> dict[str, Table]:
+    """Table `samples` with all loads, and table `instants` with the marked ones."""
+    marked = np.zeros(len(history.stamps))
+    marked[[each.row for each in instants]] = 1.0
+    columns = [*time_columns(history.stamps), Column("is_instant", marked)]
+    columns += _load_columns(history, units)
+    columns += _inertial_columns(history, units)
+    balance = history.balance()
+    left, turning = (np.linalg.norm(each, axis=1) for each in balance[:2])
+    columns += [
+        Column("balance.force", left, "N"),
+        Column("balance.torque", turning * units.per_metre, units.moment),
+        Column("balance.off", balance.off),
+    ]
+    return {MAIN: Table(columns), INSTANTS: _instants(history, instants, units)}
+
+
+def _load_columns(history: History, units: Units) -> list[Column]:
+    columns, L = [], units.per_metre
+    for i, slot in enumerate(history.slots):
+        columns += _vectors(f"{slot.name}.force_", history.force[:, i], "N", history.body)
+        moment = history.moment[:, i] * L
+        columns += _vectors(f"{slot.name}.torque_", moment, units.moment, history.body)
+        point = history.point[:, i] * L
+        columns += _vectors(f"{slot.name}.point_", point, units.name, history.body)
+    return columns
+
+
+def _inertial_columns(history: History, units: Units) -> list[Column]:
+    """Motion of the body, and what weight and inertia exert on it about its mass centre."""
+    body, L, (gravity, push, spin, turn) = history.body, units.per_metre, history.motion
+    force, moment = inertial_load(history.inertia, history.motion)
+    weight = history.inertia.mass * gravity
+    return [
+        *_vectors("gravity.acceleration_", gravity * L, units.acceleration, body),
+        *_vectors(f"{body}.linear_acceleration.", push * L, units.acceleration, body),
+        *_vectors(f"{body}.angular_velocity.", spin, "rad/s", body),
+        *_vectors(f"{body}.angular_acceleration.", turn, "rad/s^2", body),
+        *_vectors("weight.force_", weight, "N", body),
+        *_vectors("inertia.force_", force - weight, "N", body),
+        *_vectors("inertia.torque_", moment * L, units.moment, body),
+    ]
+
+
+def _instants(history: History, instants: Sequence[Instant], units: Units) -> Table:
+    turns = np.array([each.name.endswith(".torque") for each in instants], dtype=bool)
+    values = np.array([each.value for each in instants]) * np.where(turns, units.per_metre, 1.0)
+    rows = [each.row for each in instants]
+    return Table(
+        [
+            Column("time", history.stamps[rows] * NANOSECOND, "s"),
+            Column("row", np.array(rows, dtype=np.int64)),
+            Column("name", np.array([each.name for each in instants], dtype=np.str_)),
+            Column("value", values),
+        ]
+    )
+
+
+def _vectors(name: str, values: Array, unit: str, frame: str) -> list[Column]:
+    return [
+        Column(f"{name}{axis}", np.array(column), unit, frame)
+        for axis, column in zip("xyz", values.T, strict=True)
+    ]
+
+
+def about_body(history: History, units: Units) -> dict[str, Any]:
+    """What the metadata of the result says of the body, in its units."""
+    inertia, L = history.inertia, units.per_metre
+    mass = float(inertia.mass) * (1.0 if units.mass == "kg" else 1e-3)
+    per_mass = mass / float(inertia.mass)
+    return {
+        "body": history.body,
+        "links": list(history.links),
+        "joints": list(history.joints),
+        "kinds": {slot.name: slot.kind for slot in history.slots},
+        "units": {"length": units.name, "mass": units.mass, "force": "N", "time": "s"},
+        "mass": mass,
+        "mass_centre": (inertia.lever * L).tolist(),
+        "inertia": (inertia.inertia * per_mass * L**2).tolist(),
+    }
+
+
+def commanded_paths(scene: Scene) -> dict[str, Path]:
+    """Paths of muscles and of other parts whose tension a motion does not show."""
+    known = {id(part) for part in scene.acting}
+    every = (*scene.commanded, *scene.forces)
+    return {p.name: p.path for p in every if hasattr(p, "path") and id(p) not in known}
+
+
+def tensions_at(
+    paths: Mapping[str, Path],
+    motion: Source,
+    given: Source | None,
+    stamps: NDArray[np.int64],
+    say: Say,
+) -> Array:
+    """Tensions at the samples of a motion [N], shape (n, paths).
+
+    Args:
+        paths: By name of the part that pulls.
+        motion: May carry them, in columns `<part>.tension` or `<part>.force`.
+        given: Table with such columns, linear between its rows; None for those of the motion.
+        stamps: Of the samples [ns], shape (n,).
+        say: Is told whose are taken as 0.
+
+    Raises:
+        DataError: A table that has none of them, or does not cover the motion.
+    """
+    found = np.zeros((len(stamps), len(paths)))
+    source = motion if given is None else given
+    table = _table(source)
+    columns = {} if table is None else _columns(table, paths)
+    if given is not None and not columns:
+        wanted = listed([f"{name}.{quantity}" for name in paths for quantity in _QUANTITIES])
+        raise DataError(f"--muscle-forces {name_of(given)}: no column {wanted or 'is asked for'}")
+    if table is not None and columns:
+        at = motion_stamps(table, name_of(source))
+        if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
+            covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]])
+            asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
+            raise DataError(f"{name_of(source)}: tensions at {covered} s do not cover {asked} s")
+        since, times = (at - at[0]) * NANOSECOND, (stamps - at[0]) * NANOSECOND
+        for i, name in enumerate(paths):
+            if name in columns:
+                found[:, i] = np.interp(times, since, columns[name])
+    if lacking := [name for name in paths if name not in columns]:
+        say(f"tensions of {listed(lacking)} are taken as 0; --muscle-forces gives them")
+    return found
+
+
+def _table(source: Source) -> Table | None:
+    if isinstance(source, Result):
+        return source[MAIN]
+    return None if is_bag(source) else read_result(File(source))[MAIN]
+
+
+def _columns(table: Table, paths: Mapping[str, Path]) -> dict[str, Array]:
+    found = {}
+    for name in paths:
+        for quantity in _QUANTITIES:
+            column = f"{name}.{quantity}"
+            if name not in found and column in table:
+                values = np.asarray(table[column], dtype=np.float64)
+                if not np.isfinite(values).all():
+                    raise DataError(f"column {column} has gaps")
+                found[name] = values
+    return found

@@ -8,7 +8,8 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
-from mbd_ros.features.markers.marker_fit import Bools, Fit, Indices, MarkerFit, Seen, chosen
+from mbd_ros.features.markers.marker_cost import Seen
+from mbd_ros.features.markers.marker_fit import Bools, Fit, Indices, MarkerFit, chosen
 from mbd_ros.features.markers.marker_trial import of_frames
 
 _SUSPECT = 0.15  # of the objective: what an exchange of a suspected pair should save

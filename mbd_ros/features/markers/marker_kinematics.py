@@ -1,5 +1,7 @@
 """From places of markers to the motion of a robot."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -20,7 +22,8 @@ from mbd_ros.features.markers.kinematics_task import (
     KinematicsTask,
     refuse_unknown_joints,
 )
-from mbd_ros.features.markers.marker_fit import Bools, Fit, LoopRows, MarkerCost, MarkerFit, Seen
+from mbd_ros.features.markers.marker_cost import MarkerCost, Seen
+from mbd_ros.features.markers.marker_fit import Bools, Fit, LoopRows, MarkerFit
 from mbd_ros.features.markers.marker_trial import first_frame, fit_trial
 from mbd_ros.files.table import TIME
 from mbd_ros.methods.projection.independent_limits import independent_limits
@@ -29,26 +32,11 @@ from mbd_ros.parts.sensors.marker import Marker
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema.nearest import nearest
 
-# ---- marker kinematics ------------------------------------------------------------------------
-# From places of markers to the motion of a robot: what is fitted, within which limits.
-
-
 _FARTHEST = 1.0e4  # m, of a place that a motion capture system can see
 _NO_TASKS: Mapping[str, float] = {}
-
-
-class Mark(NamedTuple):
-    """A marker as marker kinematics takes it.
-
-    Attributes:
-        label: What recordings call it.
-        point: Where it is on the robot.
-        weight: Of its squared distance, > 0.
-    """
-
-    label: str
-    point: Point
-    weight: float
+_LISTED = 8  # labels in a line
+NO_TASK = KinematicsTask()
+_SAME = 1.0e-6  # s by which a recorded motion may be shorter than the markers
 
 
 class MarkerKinematics:
@@ -138,25 +126,122 @@ class MarkerKinematics:
         return first_frame(self.solver, self.robot, start, seen)
 
 
-# ---- matching ---------------------------------------------------------------------------------
-# Which recorded markers are which sensors of a scene.
-
-
-_LISTED = 8  # labels in a line
-
-
-class Matched(NamedTuple):
-    """Markers that the scene has and the recording too.
+class Mark(NamedTuple):
+    """A marker as marker kinematics takes it.
 
     Attributes:
-        marks: Of the scene, those that weigh something.
-        capture: Their places alone, in the same order.
-        lines: For people: what was not used.
+        label: What recordings call it.
+        point: Where it is on the robot.
+        weight: Of its squared distance, > 0.
     """
 
-    marks: tuple[Mark, ...]
-    capture: Capture
-    lines: tuple[str, ...]
+    label: str
+    point: Point
+    weight: float
+
+
+def live_solver(
+    scene: Scene, task: str, *, limits: bool = True
+) -> tuple[MarkerKinematics, dict[str, Array]]:
+    """A solver for all markers of a scene, and the positions that coordinate tasks ask for.
+
+    Args:
+        scene: The scene.
+        task: File of a task; empty for the weights of the scene.
+        limits: Whether joints keep their limits; a task may say no, too.
+
+    Raises:
+        SceneError: A task that cannot be read, or that follows a recorded motion.
+        DataError: The scene has no marker that weighs something.
+    """
+    asked = read_tasks(scene, task) if task else NO_TASK
+    asked = replace(asked, limits=limits and asked.limits)
+    following = [name for name, one in asked.coordinates.items() if one.from_motion]
+    if following:
+        raise SceneError(f"{task}: {following[0]} follows a recorded motion, which is not live")
+    markers = markers_of(scene)
+    weights = weights_of(markers, asked)
+    marks = [Mark(m.title, m.point, weights[m.title]) for m in markers if weights[m.title] > 0.0]
+    if not marks:
+        raise DataError(f"{task or scene.name}: no marker of the scene weighs anything")
+    solver = solver_of(scene, marks, asked, scene.name)
+    return solver, targets_of(scene, asked, np.zeros(1))
+
+
+def solver_of(
+    scene: Scene, marks: Sequence[Mark], task: KinematicsTask, where: str
+) -> MarkerKinematics:
+    """The solver of a task.
+
+    Raises:
+        DataError: There is nothing to fit; names `where`.
+    """
+    weights = {name: one.weight for name, one in _tasks(scene, task).items() if one.weight}
+    parts = scene.robot, scene.couplings, marks
+    options = {"constraints": scene.constraints, "tasks": weights, "limits": task.limits}
+    try:
+        return MarkerKinematics(*parts, **options)
+    except ModelError as error:
+        raise DataError(f"{where}: {error}") from error
+
+
+def read_tasks(scene: Scene, task: KinematicsTask | str | Path) -> KinematicsTask:
+    """The task of a file, by its ending, or as it is.
+
+    Raises:
+        SceneError: Names file, key or element, and what is accepted.
+    """
+    if isinstance(task, KinematicsTask):
+        return task
+    if str(task).lower().endswith((".xml", ".xml.gz")):
+        from mbd_ros.features.markers.osim_setup import read_setup
+
+        found = read_setup(Path(task))
+        moving = {n: t for n, t in found.coordinates.items() if n not in scene.robot.locked}
+        refuse_unknown_joints(scene, moving, str(task))
+        return found
+    from mbd_ros.scene.task_reader import read_task
+
+    parts = read_task(task, scene).parts
+    if "kinematics" not in parts:
+        raise SceneError(f"{task}: no section 'kinematics'")
+    asked: KinematicsTask = parts["kinematics"]
+    return asked
+
+
+def targets_of(scene: Scene, task: KinematicsTask, times: Array) -> dict[str, Array]:
+    """Joint -> positions that its task asks for at some times.
+
+    Raises:
+        DataError: A recorded motion lacks the joint, or some of the times.
+    """
+    targets = {}
+    for name, one in _tasks(scene, task).items():
+        if one.from_motion and task.motion is not None:
+            targets[name] = _recorded(task.motion, name, times)
+        else:
+            start = float(scene.initial.q[scene.robot.joint(name).q])
+            targets[name] = np.full(len(times), start if one.value is None else one.value)
+    return targets
+
+
+def _tasks(scene: Scene, task: KinematicsTask) -> Mapping[str, CoordinateTask]:
+    """Tasks of joints that move; a locked one stays where it is."""
+    return {n: one for n, one in task.coordinates.items() if n not in scene.robot.locked}
+
+
+def _recorded(motion: Source, name: str, times: Array) -> Array:
+    column = f"{name}.position"
+    columns = read_columns(motion, [TIME, column])
+    if columns is None or np.isnan(columns[:, 1]).any():
+        raise DataError(f"{name_of(motion)}: no column {column}, which a coordinate task follows")
+    known = columns[:, 0]
+    if times[0] < known[0] - _SAME or times[-1] > known[-1] + _SAME:
+        raise DataError(
+            f"{name_of(motion)}: has times {known[0]:g} .. {known[-1]:g} s, the markers "
+            f"{times[0]:g} .. {times[-1]:g} s"
+        )
+    return np.array(np.interp(times, known, columns[:, 1]))
 
 
 def match(scene: Scene, capture: Capture, task: KinematicsTask) -> Matched:
@@ -185,6 +270,20 @@ def match(scene: Scene, capture: Capture, task: KinematicsTask) -> Matched:
     lines += _lines("recorded and not in the scene", others, lacking)
     lines += _lines("weights for no marker of the scene", _unknown(markers, task), lacking)
     return Matched(marks, mine, tuple(lines))
+
+
+class Matched(NamedTuple):
+    """Markers that the scene has and the recording too.
+
+    Attributes:
+        marks: Of the scene, those that weigh something.
+        capture: Their places alone, in the same order.
+        lines: For people: what was not used.
+    """
+
+    marks: tuple[Mark, ...]
+    capture: Capture
+    lines: tuple[str, ...]
 
 
 def markers_of(scene: Scene) -> tuple[Marker, ...]:
@@ -234,115 +333,3 @@ def _nothing(markers: Sequence[Marker], capture: Capture, task: KinematicsTask) 
         f"{capture.where}: no recorded marker is one of the scene{weigh}; recorded are "
         f"{', '.join(capture.labels[:_LISTED])}, the scene has {', '.join(labels[:_LISTED])}{hint}"
     )
-
-
-# ---- solver -----------------------------------------------------------------------------------
-# Solvers of marker kinematics from a scene and a task.
-
-
-NO_TASK = KinematicsTask()
-_SAME = 1.0e-6  # s by which a recorded motion may be shorter than the markers
-
-
-def read_tasks(scene: Scene, task: KinematicsTask | str | Path) -> KinematicsTask:
-    """The task of a file, by its ending, or as it is.
-
-    Raises:
-        SceneError: Names file, key or element, and what is accepted.
-    """
-    if isinstance(task, KinematicsTask):
-        return task
-    if str(task).lower().endswith((".xml", ".xml.gz")):
-        from mbd_ros.features.markers.osim_setup import read_setup
-
-        found = read_setup(Path(task))
-        moving = {n: t for n, t in found.coordinates.items() if n not in scene.robot.locked}
-        refuse_unknown_joints(scene, moving, str(task))
-        return found
-    from mbd_ros.scene.task_reader import read_task
-
-    parts = read_task(task, scene).parts
-    if "kinematics" not in parts:
-        raise SceneError(f"{task}: no section 'kinematics'")
-    asked: KinematicsTask = parts["kinematics"]
-    return asked
-
-
-def solver_of(
-    scene: Scene, marks: Sequence[Mark], task: KinematicsTask, where: str
-) -> MarkerKinematics:
-    """The solver of a task.
-
-    Raises:
-        DataError: There is nothing to fit; names `where`.
-    """
-    weights = {name: one.weight for name, one in _tasks(scene, task).items() if one.weight}
-    parts = scene.robot, scene.couplings, marks
-    options = {"constraints": scene.constraints, "tasks": weights, "limits": task.limits}
-    try:
-        return MarkerKinematics(*parts, **options)
-    except ModelError as error:
-        raise DataError(f"{where}: {error}") from error
-
-
-def live_solver(
-    scene: Scene, task: str, *, limits: bool = True
-) -> tuple[MarkerKinematics, dict[str, Array]]:
-    """A solver for all markers of a scene, and the positions that coordinate tasks ask for.
-
-    Args:
-        scene: The scene.
-        task: File of a task; empty for the weights of the scene.
-        limits: Whether joints keep their limits; a task may say no, too.
-
-    Raises:
-        SceneError: A task that cannot be read, or that follows a recorded motion.
-        DataError: The scene has no marker that weighs something.
-    """
-    asked = read_tasks(scene, task) if task else NO_TASK
-    asked = replace(asked, limits=limits and asked.limits)
-    following = [name for name, one in asked.coordinates.items() if one.from_motion]
-    if following:
-        raise SceneError(f"{task}: {following[0]} follows a recorded motion, which is not live")
-    markers = markers_of(scene)
-    weights = weights_of(markers, asked)
-    marks = [Mark(m.title, m.point, weights[m.title]) for m in markers if weights[m.title] > 0.0]
-    if not marks:
-        raise DataError(f"{task or scene.name}: no marker of the scene weighs anything")
-    solver = solver_of(scene, marks, asked, scene.name)
-    return solver, targets_of(scene, asked, np.zeros(1))
-
-
-def targets_of(scene: Scene, task: KinematicsTask, times: Array) -> dict[str, Array]:
-    """Joint -> positions that its task asks for at some times.
-
-    Raises:
-        DataError: A recorded motion lacks the joint, or some of the times.
-    """
-    targets = {}
-    for name, one in _tasks(scene, task).items():
-        if one.from_motion and task.motion is not None:
-            targets[name] = _recorded(task.motion, name, times)
-        else:
-            start = float(scene.initial.q[scene.robot.joint(name).q])
-            targets[name] = np.full(len(times), start if one.value is None else one.value)
-    return targets
-
-
-def _tasks(scene: Scene, task: KinematicsTask) -> Mapping[str, CoordinateTask]:
-    """Tasks of joints that move; a locked one stays where it is."""
-    return {n: one for n, one in task.coordinates.items() if n not in scene.robot.locked}
-
-
-def _recorded(motion: Source, name: str, times: Array) -> Array:
-    column = f"{name}.position"
-    columns = read_columns(motion, [TIME, column])
-    if columns is None or np.isnan(columns[:, 1]).any():
-        raise DataError(f"{name_of(motion)}: no column {column}, which a coordinate task follows")
-    known = columns[:, 0]
-    if times[0] < known[0] - _SAME or times[-1] > known[-1] + _SAME:
-        raise DataError(
-            f"{name_of(motion)}: has times {known[0]:g} .. {known[-1]:g} s, the markers "
-            f"{times[0]:g} .. {times[-1]:g} s"
-        )
-    return np.array(np.interp(times, known, columns[:, 1]))

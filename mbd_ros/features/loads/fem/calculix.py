@@ -17,17 +17,14 @@ from mbd_ros.errors import DataError
 from mbd_ros.features.loads.fem.elements import KINDS
 from mbd_ros.features.loads.fem.model import Attachment, Body, Step, centre_field, load_over_time
 
-# ---- calculix ---------------------------------------------------------------------------------
-# Input of CalculiX and Abaqus: a static step for every instant.
-
-
 _A_LINE = 16  # entries of a line
 SOLID, _SPUN = "SOLID", "SPUN"
 OUTPUT = "*NODE FILE", "U,RF", "*EL FILE", "S", "*NODE PRINT,NSET=SUPPORT", "RF"
+_PAIRS = 4  # of time and value a line
 
 
 def lines_of(body: Body, steps: Sequence[Step]) -> Iterator[str]:
-    """The lines of an input file."""
+    """The lines of an input file with a static step for every instant."""
     yield from model_lines(body)
     for i in range(len(steps)):  # CalculiX keeps the axis that CENTRIF first had for a set
         yield f"*ELSET,ELSET={_SPUN}_{i}"
@@ -158,39 +155,13 @@ def _step(
     yield "*END STEP"
 
 
-def _numbers(values: Any) -> str:
-    return ",".join(f"{value:.12g}" for value in values)
-
-
-def _listed(entries: Sequence[int]) -> Iterator[str]:
-    for i in range(0, len(entries), _A_LINE):
-        more = "," if i + _A_LINE < len(entries) and len(entries) > _A_LINE else ""
-        yield ",".join(map(str, entries[i : i + _A_LINE])) + more
-
-
-def _name(one: Attachment) -> str:
-    return "L_" + re.sub(r"\W", "_", one.name)
-
-
-def text_of(lines: Iterable[str]) -> bytes:
-    """The lines as a file."""
-    return ("\n".join(lines) + "\n").encode()
-
-
-# ---- calculix amplitudes ----------------------------------------------------------------------
-# Input of CalculiX and Abaqus: one step over the whole motion, loads as amplitudes over time.
-#
-# CalculiX goes through the times of a static step with large displacements only, and takes one
-# amplitude a node and direction: gravity and inertia are the field of the mass centre, the part by
-# rotation is left out. Source: G. Dhondt, CalculiX CrunchiX USER'S MANUAL version 2.20, sections
-# *AMPLITUDE, *STATIC, *STEP.
-
-
-_PAIRS = 4  # of time and value a line
-
-
 def amplitude_lines(body: Body) -> Iterator[str]:
-    """The lines of an input file."""
+    """The lines of an input file with one step over the whole motion, loads as amplitudes.
+
+    CalculiX goes through the times of a static step with large displacements only, and takes one
+    amplitude a node and direction: gravity and inertia are the field of the mass centre, the part
+    by rotation is left out. Source: as above, sections *AMPLITUDE, *STATIC, *STEP.
+    """
     stamps, L = body.history.stamps, body.units.per_metre
     times = (stamps - stamps[0]) * NANOSECOND
     yield from model_lines(body)
@@ -222,3 +193,22 @@ def _amplitude(name: str, times: Array, values: Array) -> Iterator[str]:
     pairs = [f"{t:.12g},{v:.12g}" for t, v in zip(times.tolist(), values.tolist(), strict=True)]
     for i in range(0, len(pairs), _PAIRS):
         yield ",".join(pairs[i : i + _PAIRS])
+
+
+def _numbers(values: Any) -> str:
+    return ",".join(f"{value:.12g}" for value in values)
+
+
+def _listed(entries: Sequence[int]) -> Iterator[str]:
+    for i in range(0, len(entries), _A_LINE):
+        more = "," if i + _A_LINE < len(entries) and len(entries) > _A_LINE else ""
+        yield ",".join(map(str, entries[i : i + _A_LINE])) + more
+
+
+def _name(one: Attachment) -> str:
+    return "L_" + re.sub(r"\W", "_", one.name)
+
+
+def text_of(lines: Iterable[str]) -> bytes:
+    """The lines as a file."""
+    return ("\n".join(lines) + "\n").encode()

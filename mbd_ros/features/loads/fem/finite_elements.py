@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError
 from mbd_ros.features.loads.fem.elements import mass_of
-from mbd_ros.features.loads.fem.mesh import Mesh, Units, read_mesh
+from mbd_ros.features.loads.fem.mesh import Mesh, read_mesh
 from mbd_ros.features.loads.fem.model import (
     COUPLINGS,
     Attachment,
@@ -19,6 +19,7 @@ from mbd_ros.features.loads.fem.model import (
     step_of,
 )
 from mbd_ros.features.loads.history import History, Instant
+from mbd_ros.features.loads.units import Units
 from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.progress import Say
 

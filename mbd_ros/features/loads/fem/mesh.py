@@ -1,6 +1,6 @@
 """Meshes of finite elements: solids, sets of nodes, units."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,11 +10,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.model.points import rotation_matrix
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
-from mbd_ros.features.loads.fem.elements import HEX_EDGES, KINDS, Cells, mass_of
-
-# ---- mesh -------------------------------------------------------------------------------------
-# Meshes of finite elements: solids, and sets of their nodes by name.
-
+from mbd_ros.features.loads.fem.elements import KINDS, Cells, mass_of
 
 Nodes = NDArray[np.int64]
 _OFF = 0.25  # lengths of an edge: how far its middle node may be off
@@ -80,21 +76,6 @@ def read_mesh(path: Path, per_metre: float, pose: Sequence[float] = ()) -> Mesh:
     return mesh
 
 
-def write_mesh(mesh: Mesh, path: Path, per_metre: float) -> None:
-    """Write a mesh to any file that meshio writes; .inp holds its sets too.
-
-    Args:
-        mesh: The mesh.
-        path: The file.
-        per_metre: Its lengths in a metre.
-    """
-    import meshio
-
-    sets = {name: nodes.tolist() for name, nodes in mesh.sets.items()}
-    cells = [(kind, nodes) for kind, nodes in mesh.blocks]
-    meshio.Mesh(mesh.points * per_metre, cells, point_sets=sets).write(path)
-
-
 def _without_loose(mesh: Mesh) -> Mesh:
     """The mesh without nodes that no solid has."""
     used = np.unique(np.concatenate([cells.ravel() for _, cells in mesh.blocks]))
@@ -139,123 +120,3 @@ def _check(mesh: Mesh) -> None:
             length = np.linalg.norm(ends[1] - ends[0], axis=1)
             if (off > _OFF * length).any():
                 raise DataError(f"{mesh.name}: nodes of its {name} are not in the order of VTK")
-
-
-# ---- units ------------------------------------------------------------------------------------
-# Systems of units of finite-element meshes; forces are newtons and times seconds in each.
-
-
-class Units(NamedTuple):
-    """A consistent system of units.
-
-    Attributes:
-        name: Of its length.
-        per_metre: Its lengths in a metre.
-        mass: Of its masses.
-        stress: Of its stresses.
-    """
-
-    name: str
-    per_metre: float
-    mass: str
-    stress: str
-
-    @property
-    def moment(self) -> str:
-        """Of its moments."""
-        return f"N·{self.name}"
-
-    @property
-    def acceleration(self) -> str:
-        """Of its accelerations."""
-        return f"{self.name}/s^2"
-
-
-SYSTEMS = {"m": Units("m", 1.0, "kg", "Pa"), "mm": Units("mm", 1000.0, "t", "MPa")}
-
-
-def units_of(name: str) -> Units:
-    """The system of a name.
-
-    Raises:
-        DataError: There is none.
-    """
-    if name not in SYSTEMS:
-        raise DataError(f"--units {name}: accepted: m (N, m, kg, s, Pa) and mm (N, mm, t, s, MPa)")
-    return SYSTEMS[name]
-
-
-# ---- solids -----------------------------------------------------------------------------------
-# Boxes, cylinders and tubes of quadratic elements, along z: the meshes of the examples.
-
-
-Map = Callable[[Array], Array]
-BOTTOM, TOP = "bottom", "top"
-_CORNERS = np.array(
-    [[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [0, 0, 2], [2, 0, 2], [2, 2, 2], [0, 2, 2]]
-)
-
-
-def box(size: Sequence[float], counts: Sequence[int]) -> Mesh:
-    """A box about the origin in x and y, from z = 0 on.
-
-    Args:
-        size: Along x, y and z [m].
-        counts: Elements along them.
-    """
-    length = np.array(size)
-    return _mapped("box", counts, lambda u: (u - [0.5, 0.5, 0.0]) * length)
-
-
-def cylinder(radius: float, length: float, counts: Sequence[int]) -> Mesh:
-    """A cylinder along z from z = 0 on.
-
-    Args:
-        radius: [m].
-        length: [m].
-        counts: Elements across, and along.
-    """
-
-    def disc(u: Array) -> Array:
-        flat = 2.0 * u[:, :2] - 1.0
-        square = np.abs(flat).max(axis=1)
-        far = np.linalg.norm(flat, axis=1)
-        round_ = np.divide(square, far, out=np.ones_like(far), where=far > 0.0)
-        pull = 1.0 + square**2 * (round_ - 1.0)
-        return np.column_stack((radius * flat * pull[:, None], length * u[:, 2]))
-
-    across, along = counts
-    return _mapped("cylinder", (across, across, along), disc)
-
-
-def tube(inner: float, outer: float, length: float, counts: Sequence[int]) -> Mesh:
-    """A tube along z from z = 0 on.
-
-    Args:
-        inner: Inner radius [m].
-        outer: Outer radius [m].
-        length: [m].
-        counts: Elements through the wall, around, and along.
-    """
-
-    def ring(u: Array) -> Array:
-        radius, angle = inner + (outer - inner) * u[:, 0], 2.0 * np.pi * u[:, 1]
-        return np.column_stack((radius * np.cos(angle), radius * np.sin(angle), length * u[:, 2]))
-
-    return _mapped("tube", counts, ring, closed=True)
-
-
-def _mapped(name: str, counts: Sequence[int], place: Map, closed: bool = False) -> Mesh:
-    """A grid of the unit cube, mapped; `closed` joins both ends of its second direction."""
-    nx, ny, nz = counts
-    cells = np.stack(np.meshgrid(range(nx), range(ny), range(nz), indexing="ij"), -1)
-    first = 2 * cells.reshape(-1, 1, 3)
-    middles = np.array([(_CORNERS[a] + _CORNERS[b]) // 2 for a, b in HEX_EDGES])
-    at = first + np.concatenate((_CORNERS, middles))
-    if closed:
-        at[..., 1] %= 2 * ny
-    grid, nodes = np.unique(at.reshape(-1, 3), axis=0, return_inverse=True)
-    points = place(grid / (2.0 * np.array([nx, ny, nz])))
-    ends = {BOTTOM: grid[:, 2] == 0, TOP: grid[:, 2] == 2 * nz}
-    sets = {end: np.flatnonzero(chosen) for end, chosen in ends.items()}
-    return Mesh(name, points, (("hexahedron20", nodes.reshape(-1, 20)),), sets)

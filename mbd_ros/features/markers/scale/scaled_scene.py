@@ -11,13 +11,18 @@ from mbd_ros.core.model.points import rotation_matrix
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 
-# ---- scaled sections --------------------------------------------------------------------------
-# Sections of a scene whose segments have other sizes.
-
-
 _AXES = "xyz"
 _UNSCALED = ("constraints", "contacts", "forces", "actuators", "external_wrenches")
 Entries = dict[str, Any]
+Element = ElementTree.Element
+_MOMENTS = {
+    "ixx": (0, 0),
+    "ixy": (0, 1),
+    "ixz": (0, 2),
+    "iyy": (1, 1),
+    "iyz": (1, 2),
+    "izz": (2, 2),
+}
 
 
 def scaled_sections(
@@ -106,25 +111,6 @@ def _times(value: Any, factor: float) -> Any:
     if isinstance(value, list | tuple):
         return [_times(one, factor) for one in value]
     return factor * value
-
-
-# ---- scaled urdf ------------------------------------------------------------------------------
-# A robot description whose segments have other sizes and masses.
-#
-# A segment is a link with factors, and links without mass between it and the next one: places in
-# them are stretched along the axes of the segment. With S = diag(factors), a mass m of density
-# moments P = tr(I) / 2 - I becomes m' with P' = m'/m S P S, and I' = tr(P') - P'.
-
-
-Element = ElementTree.Element
-_MOMENTS = {
-    "ixx": (0, 0),
-    "ixy": (0, 1),
-    "ixz": (0, 2),
-    "iyy": (1, 1),
-    "iyz": (1, 2),
-    "izz": (2, 2),
-}
 
 
 class ScaledUrdf:
