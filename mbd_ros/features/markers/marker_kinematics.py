@@ -110,7 +110,7 @@ class MarkerKinematics:
         return Seen(where, weights, asked, times)
 
     def trial(self, start: Array, seen: Seen) -> Fit:
-        """Fit all frames of a trial, see `marker_trial`.
+        """Fit all frames of a trial, each from a start that its neighbours give.
 
         Args:
             start: Default configuration, shape (nq,).
