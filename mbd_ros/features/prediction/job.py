@@ -34,9 +34,6 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.task_reader import read_task
 from mbd_ros.scene.variants import with_numbers
 
-# ---- job --------------------------------------------------------------------------------------
-# The best motion of a scene: `mbd-ros predict`.
-
 
 def predict(
     scene: Scene,
@@ -81,19 +78,10 @@ def predict(
     return result
 
 
-def task_of(scene: Scene, task: str | Path | Mapping[str, Any]) -> PredictTask:
-    """The task of a file, or of the keys of its section."""
-    if isinstance(task, str | Path):
-        parts = read_task(task, scene).parts
-        found: PredictTask = parts.get("predict") or predict_task({}, str(task))
-        return found
-    return predict_task(dict(task), "predict")
-
-
 def run_predict(
     scene: Scene, task: PredictTask, say: Say, where: Where = HERE
 ) -> tuple[Found, Result]:
-    """See `predict`; the last iterate too where there is no solution."""
+    """Do what `predict` describes; gives the last iterate where there is no solution."""
     steps = search(scene, task, say, where)
     found = steps[-1].found
     driven, modes, motions = found.problem.scene, found.problem.modes, found.solution.motions
@@ -129,6 +117,15 @@ def run_predict(
     metadata |= numbers_of(found, again)
     metadata["changes"] = list(found.problem.changes)
     return found, Result(tables, metadata)
+
+
+def task_of(scene: Scene, task: str | Path | Mapping[str, Any]) -> PredictTask:
+    """The task of a file, or of the keys of its section."""
+    if isinstance(task, str | Path):
+        parts = read_task(task, scene).parts
+        found: PredictTask = parts.get("predict") or predict_task({}, str(task))
+        return found
+    return predict_task(dict(task), "predict")
 
 
 def remarks_of(found: Found) -> tuple[str, ...]:
@@ -183,10 +180,6 @@ def solution_lines(found: Found, again: Replay) -> Iterator[str]:
         yield f"  integrated again: {what} is off by {again.deviation:.1e}"
 
 
-# ---- to file ----------------------------------------------------------------------------------
-# A predicted motion into files: `mbd-ros predict`.
-
-
 def predict_to(
     scene: Scene,
     task: Path,
@@ -209,7 +202,7 @@ def predict_to(
         Whether there is a solution.
 
     Raises:
-        MbdError: As `predict`, or a place that cannot be written to.
+        MbdError: Input that cannot be used, or a place that cannot be written to.
     """
     asked = task_of(scene, task)
     if out is not None:

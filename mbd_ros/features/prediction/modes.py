@@ -1,5 +1,7 @@
 """The systems of the phases of a motion, what links them and what drives them."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
@@ -25,36 +27,9 @@ if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_phase import MotionPhase
     from mbd_ros.optimal_control.motion_program import Linkage
 
-
-# ---- modes ------------------------------------------------------------------------------------
-# The systems of the phases of a motion, and what links them.
-
-
 _OFF = 1  # a row that gives way, at its lower bound
-
-
-class PhaseMode(NamedTuple):
-    """The system of a phase.
-
-    Attributes:
-        number: Of the phase in the scene.
-        system: Its system.
-        mode: Of rows that give way: all of them are off.
-        phased: The systems of all phases; None where a scene has none.
-    """
-
-    number: int
-    system: System
-    mode: Mode
-    phased: PhasedSystem | None = None
-
-    @property
-    def demands(self) -> tuple[Check, ...]:
-        """What contacts that the phase holds have to keep."""
-        if self.phased is None:
-            return ()
-        found: tuple[Check, ...] = self.phased.phases[self.number].demands
-        return found
+DRIVES = "drives"  # ideal ones in all independent joints
+_RESIDUAL = "_residual"
 
 
 def modes_of(scene: Scene, task: PredictTask) -> list[PhaseMode]:
@@ -82,6 +57,34 @@ def modes_of(scene: Scene, task: PredictTask) -> list[PhaseMode]:
     return found
 
 
+def _mode(system: System) -> Mode:
+    return (_OFF,) * len(system.exact.names) if system.exact is not None else ()
+
+
+class PhaseMode(NamedTuple):
+    """The system of a phase.
+
+    Attributes:
+        number: Of the phase in the scene.
+        system: Its system.
+        mode: Of rows that give way: all of them are off.
+        phased: The systems of all phases; None where a scene has none.
+    """
+
+    number: int
+    system: System
+    mode: Mode
+    phased: PhasedSystem | None = None
+
+    @property
+    def demands(self) -> tuple[Check, ...]:
+        """What contacts that the phase holds have to keep."""
+        if self.phased is None:
+            return ()
+        found: tuple[Check, ...] = self.phased.phases[self.number].demands
+        return found
+
+
 def started(scene: Scene, mode: PhaseMode) -> State:
     """The consistent state near that in which the scene starts, in what is integrated.
 
@@ -101,16 +104,12 @@ def simulation_of_phase(whole: Simulation, system: System, dt: float) -> Simulat
     return Simulation(free, whole.integrator, whole.stabilization, dt)
 
 
-def _mode(system: System) -> Mode:
-    return (_OFF,) * len(system.exact.names) if system.exact is not None else ()
-
-
 def linkages_of(
     scene: Scene,
     task: PredictTask,
     modes: Sequence[PhaseMode],
-    phases: "Sequence[MotionPhase]",
-) -> "list[Linkage]":
+    phases: Sequence[MotionPhase],
+) -> list[Linkage]:
     """What links the phases, and the end of the last one with the beginning.
 
     Raises:
@@ -132,7 +131,7 @@ def linkages_of(
 def _linkage(
     scene: Scene,
     modes: Sequence[PhaseMode],
-    phases: "Sequence[MotionPhase]",
+    phases: Sequence[MotionPhase],
     numbers: tuple[int, int],
     travel: Sequence[int],
     task: PredictTask,
@@ -154,11 +153,6 @@ def _linkage(
     return ResetLinkage(*joined, numbers, way, equations, travel, grip=task.grip)
 
 
-def middles(task: PredictTask) -> Array:
-    """Values of the unknown numbers with which a motion begins."""
-    return np.array([sum(one) / 2.0 for one in task.parameters.values()])
-
-
 def _exit(phased: PhasedSystem, number: int, following: int) -> Exit:
     phase = phased.phases[number]
     for way in phase.exits:
@@ -171,7 +165,7 @@ def _exit(phased: PhasedSystem, number: int, following: int) -> Exit:
     )
 
 
-def _equal_ends(task: PredictTask, phases: "Sequence[MotionPhase]") -> Any:
+def _equal_ends(task: PredictTask, phases: Sequence[MotionPhase]) -> Any:
     from mbd_ros.optimal_control.linkages import EqualEnds
 
     last, first = phases[-1].quantities, phases[0].quantities
@@ -189,24 +183,9 @@ def _equal_ends(task: PredictTask, phases: "Sequence[MotionPhase]") -> Any:
     return EqualEnds(phases[-1], phases[0], pairs, signs)
 
 
-# ---- driving ----------------------------------------------------------------------------------
-# What drives a scene whose motion is looked for.
-
-
-DRIVES = "drives"  # ideal ones in all independent joints
-_RESIDUAL = "_residual"
-
-
-class Driven(NamedTuple):
-    """A scene with what drives it.
-
-    Attributes:
-        scene: The scene.
-        residuals: Names of the wrenches that drive its free bases.
-    """
-
-    scene: Scene
-    residuals: tuple[str, ...] = ()
+def middles(task: PredictTask) -> Array:
+    """Values of the unknown numbers with which a motion begins."""
+    return np.array([sum(one) / 2.0 for one in task.parameters.values()])
 
 
 def driven(scene: Scene, by: DrivenBy = "scene", bounded: Iterable[str] = ()) -> Driven:
@@ -251,15 +230,27 @@ def driven(scene: Scene, by: DrivenBy = "scene", bounded: Iterable[str] = ()) ->
     return Driven(found, tuple(wrenches))
 
 
+def _untaken(name: str, taken: Mapping[str, Any]) -> str:
+    """The name, numbered where a wrench of the scene has it."""
+    numbered = (f"{name}_{number}" for number in itertools.count(2))
+    return next(one for one in itertools.chain([name], numbered) if one not in taken)
+
+
+class Driven(NamedTuple):
+    """A scene with what drives it.
+
+    Attributes:
+        scene: The scene.
+        residuals: Names of the wrenches that drive its free bases.
+    """
+
+    scene: Scene
+    residuals: tuple[str, ...] = ()
+
+
 def driving_wrenches(scene: Scene, bounded: Iterable[str]) -> tuple[str, ...]:
     """Components of external wrenches that have bounds, as inputs are called."""
     names, patterns = scene.inputs.names, tuple(bounded)
     slots = (scene.inputs.slots[name] for name in scene.wrenches)
     every = (name for one in slots for name in names[one.start : one.stop])
     return tuple(name for name in every if any(fnmatchcase(name, key) for key in patterns))
-
-
-def _untaken(name: str, taken: Mapping[str, Any]) -> str:
-    """The name, numbered where a wrench of the scene has it."""
-    numbered = (f"{name}_{number}" for number in itertools.count(2))
-    return next(one for one in itertools.chain([name], numbered) if one not in taken)

@@ -1,6 +1,10 @@
 """A scene and a task -> a program and the guess that it begins with."""
 
-from collections.abc import Mapping, Sequence
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -9,7 +13,7 @@ import numpy as np
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.features.prediction.guesses import guesses_of
+from mbd_ros.features.prediction.guesses import close_loops, guesses_of
 from mbd_ros.features.prediction.modes import (
     Driven,
     PhaseMode,
@@ -20,6 +24,11 @@ from mbd_ros.features.prediction.modes import (
     started,
 )
 from mbd_ros.features.prediction.recording import Recording, References, given_inputs, recorded
+from mbd_ros.features.prediction.smooth_scene import (
+    with_fitted_paths,
+    with_smooth_muscles,
+    wrapping,
+)
 from mbd_ros.features.prediction.task import PhaseTask, PredictTask
 from mbd_ros.methods.projection.independent_limits import independent_limits
 from mbd_ros.optimal_control.mesh import uniform_mesh
@@ -32,204 +41,11 @@ if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_phase import MotionPhase
     from mbd_ros.optimal_control.motion_program import MotionProgram
 
-import math
-from collections.abc import Iterator
-from dataclasses import replace
-
-from mbd_ros.core.state import Array
-from mbd_ros.features.prediction.smooth_scene import wrapping
-
-# A scene and a task -> those that are solved: smooth muscles, no paths that are searched for.
-
-_SHARES = np.linspace(0.0, 1.0, 200)
+_SHARES = np.linspace(0.0, 1.0, 200)  # of a recording, where its joints are looked at
 _BESIDE = 0.5  # rad or m beyond what a task names of a joint without limits
-
 Changed = tuple[Scene, PredictTask, tuple[str, ...]]
-
-
-def traceable(scene: Scene, task: PredictTask, recording: Recording | None = None) -> Changed:
-    """The scene with the muscles of the task, and polynomials in place of paths that wrap.
-
-    Args:
-        scene: The scene.
-        task: The task.
-        recording: Of the motion; None without one.
-
-    Returns:
-        Scene, task with bounds of joints within which polynomials hold, and a line a change.
-
-    Raises:
-        SceneError: Muscles or paths that cannot be replaced.
-    """
-    lines = list[str]()
-    if task.muscles is not None:
-        from mbd_ros.features.prediction.smooth_scene import with_smooth_muscles
-
-        scene, line = with_smooth_muscles(scene, task.muscles)
-        lines.append(line)
-    if not wrapping(scene):
-        return scene, task, tuple(lines)
-    from mbd_ros.features.prediction.smooth_scene import with_fitted_paths
-
-    limits = dict(_limits(scene, task, recording))
-    scene, more, joints = with_fitted_paths(scene, limits)
-    held = {f"{name}.position": limits[name] for name in sorted(joints)}
-    phases = tuple(replace(one, bounds={**one.bounds, **held}) for one in task.phases)
-    return scene, replace(task, phases=phases), (*lines, *more)
-
-
-def _limits(
-    scene: Scene, task: PredictTask, recording: Recording | None
-) -> Iterator[tuple[str, Range]]:
-    """Ranges of independent joints: bounds of the task, else limits, else near what is named."""
-    q = np.atleast_2d(scene.initial.q)
-    if recording is not None:
-        q = recording.motion(recording.begin + recording.duration * _SHARES)[0]
-    lower, upper = independent_limits(scene.robot, scene.couplings)
-    places = {int(v): i for i, v in enumerate(scene.couplings.v_index)}
-    for joint in scene.robot.joints:
-        if joint.v not in places:
-            continue
-        at, name = places[joint.v], f"{joint.name}.position"
-        named = [*q[:, joint.q].tolist(), *_named(task, name)]
-        near = min(named) - _BESIDE, max(named) + _BESIDE
-        low, high = lower[at], upper[at]
-        for phase in task.phases:
-            for key, (least, most) in phase.bounds.items():
-                if fnmatchcase(name, key):
-                    low, high = least, most
-        yield (
-            joint.name,
-            (
-                float(low) if np.isfinite(low) else near[0],
-                float(high) if np.isfinite(high) else near[1],
-            ),
-        )
-
-
-def _named(task: PredictTask, name: str) -> Iterator[float]:
-    """Values that a task has of a quantity, at ends and in its guess."""
-    for phase in task.phases:
-        for given in (phase.start, phase.end):
-            for key, values in given.items():
-                if fnmatchcase(name, key):
-                    yield from (one for one in values if np.isfinite(one))
-    for key, lines in task.guess.items():
-        if fnmatchcase(name, key):
-            yield from lines
-
-
-# A guess whose loops are closed: coordinates that it does not move follow those that it does.
-
-_MOST = 30  # Newton steps
-_CLOSED = 1.0e-9  # rad or m
-_LONGEST = 0.5  # rad or m of a step: the guess stays on the branch that it is on
-_STRIDE = 0.02  # of the duration: from one closed configuration to the next
-
-
-def close(equations: Any, motion: PhaseMotion, p: Array) -> None:
-    """Close the loops of a guess, configurations and velocities, where that is possible.
-
-    Args:
-        equations: Of the phase, `PhaseEquations`.
-        motion: The guess, which is changed.
-        p: Parameters.
-    """
-    q, shares = motion.nodes["q"], np.concatenate((motion.mesh.knots, motion.mesh.shares))
-    moved = np.abs(q - q[0]).max(axis=0) > 0.0
-    flat = equations.flat
-    free = np.array([j for i, j in flat if not moved[i]], dtype=np.intp)
-    of_q = {int(j): int(i) for i, j in flat}
-    if not equations.sizes.mg or not len(free):
-        return
-    places = [of_q[int(j)] for j in free]
-    fine = np.unique(np.concatenate((shares, np.arange(0.0, 1.0, _STRIDE))))
-    whole = np.empty((len(fine), q.shape[1]))
-    for i in range(q.shape[1]):
-        whole[:, i] = np.interp(fine, motion.mesh.knots, q[:, i])
-    follower = whole[0, places].copy()
-    speeds = np.empty((len(fine), motion.nodes["v"].shape[1]))
-    for i, row in enumerate(whole):
-        row[places] = follower
-        t = motion.begin + motion.duration * fine[i]
-        _closed(equations, t, row, free, places, p)
-        follower = row[places].copy()
-        v = np.array([np.interp(fine[i], motion.mesh.knots, one) for one in motion.nodes["v"].T])
-        v[free] = 0.0
-        _, _, rate, J = equations.rows_at(t, row, v, p)
-        v[free] -= np.linalg.lstsq(J[:, free], rate, rcond=None)[0]
-        speeds[i] = v
-    for at, found in ((motion.mesh.knots, motion.nodes), (motion.mesh.shares, motion.points)):
-        rows = np.searchsorted(fine, at)
-        found["q"][:, places], found["v"][:, free] = whole[rows][:, places], speeds[rows][:, free]
-
-
-def _closed(equations: Any, t: float, q: Array, free: Array, places: list[int], p: Array) -> None:
-    """Newton's method on some coordinates; the nearest ones where rows do not determine them."""
-    still = np.zeros(equations.sizes.nv)
-    for _ in range(_MOST):
-        g, J, _, _ = equations.rows_at(t, q, still, p)
-        if np.abs(g).max(initial=0.0) < _CLOSED:
-            return
-        step = np.linalg.lstsq(J[:, free], -g, rcond=None)[0]
-        size = float(np.abs(step).max(initial=0.0))
-        q[places] += step * min(1.0, _LONGEST / max(size, _LONGEST))
-
-
-# Orientations that a task gives as four numbers, made exactly of size 1.
-
-_OFF = 1.0e-2  # of the size: what rounding of digits may leave
-
-
-def with_unit_turns(given: Mapping[str, Range], bodies: Sequence[str]) -> dict[str, Range]:
-    """Ranges at an end, with quaternions of size 1 where all four numbers are given.
-
-    Raises:
-        ModelError: Four numbers that are no orientation.
-    """
-    found = dict(given)
-    for body in bodies:
-        names = [f"{body}.orientation.{axis}" for axis in "xyzw"]
-        ranges = [found.get(name, (-math.inf, math.inf)) for name in names]
-        if any(low != high for low, high in ranges):
-            continue
-        values = [low for low, _ in ranges]
-        size = math.hypot(*values)
-        if abs(size - 1.0) > _OFF:
-            raise ModelError(
-                f"{body}.orientation: a quaternion (x, y, z, w) of size {size:g}, accepted: 1"
-            )
-        found |= {name: (one / size, one / size) for name, one in zip(names, values, strict=True)}
-    return found
-
-
+_OFF = 1.0e-2  # of the size of a quaternion: what rounding of digits may leave
 _FEW, _A_SECOND = 10, 25  # intervals of the first mesh
-
-
-class Problem(NamedTuple):
-    """What is solved.
-
-    Attributes:
-        scene: The scene, driven.
-        program: The program.
-        guesses: Of each phase.
-        parameters: Values to begin with.
-        modes: The systems of the phases.
-        links: Unknowns of what links phases, such as impulses; None for zeros.
-        recording: Of the motion; None without one.
-        changes: What the scene has otherwise than the one that was given, a line each.
-        residuals: Names of the wrenches that drive free bases.
-    """
-
-    scene: Scene
-    program: "MotionProgram"
-    guesses: list[PhaseMotion]
-    parameters: Any
-    modes: "list[PhaseMode]"
-    links: Any = None
-    recording: Recording | None = None
-    changes: tuple[str, ...] = ()
-    residuals: tuple[str, ...] = ()
 
 
 def problem_of(scene: Scene, task: PredictTask) -> Problem:
@@ -263,9 +79,35 @@ def problem_of(scene: Scene, task: PredictTask) -> Problem:
     parameters = [Parameter(name, task.parameters[name], value) for name, value in pairs]
     program = MotionProgram(phases, parameters, first.t, linkages)
     for phase, guess in zip(phases, guesses, strict=True):
-        close(phase.equations, guess, values)
+        close_loops(phase.equations, guess, values)
     more = {"recording": recording, "changes": changes, "residuals": residuals}
     return Problem(scene, program, guesses, values, modes, **more)
+
+
+class Problem(NamedTuple):
+    """What is solved.
+
+    Attributes:
+        scene: The scene, driven.
+        program: The program.
+        guesses: Of each phase.
+        parameters: Values to begin with.
+        modes: The systems of the phases.
+        links: Unknowns of what links phases, such as impulses; None for zeros.
+        recording: Of the motion; None without one.
+        changes: What the scene has otherwise than the one that was given, a line each.
+        residuals: Names of the wrenches that drive free bases.
+    """
+
+    scene: Scene
+    program: MotionProgram
+    guesses: list[PhaseMotion]
+    parameters: Any
+    modes: list[PhaseMode]
+    links: Any = None
+    recording: Recording | None = None
+    changes: tuple[str, ...] = ()
+    residuals: tuple[str, ...] = ()
 
 
 def _phases(
@@ -274,7 +116,7 @@ def _phases(
     modes: Sequence[PhaseMode],
     first: State,
     recording: Recording | None,
-) -> "list[MotionPhase]":
+) -> list[MotionPhase]:
     from mbd_ros.optimal_control.limits import held_limits
     from mbd_ros.optimal_control.motion_phase import MotionPhase
     from mbd_ros.optimal_control.phase_equations import PhaseEquations, independent
@@ -376,3 +218,96 @@ def integrated_names(scene: Scene, nv: int) -> list[str]:
     if nv < scene.robot.model.nv:
         return coordinate_names(scene.robot, scene.couplings)
     return velocity_names(scene.robot, range(nv))
+
+
+def with_unit_turns(given: Mapping[str, Range], bodies: Sequence[str]) -> dict[str, Range]:
+    """Ranges at an end, with quaternions of size 1 where all four numbers are given.
+
+    Raises:
+        ModelError: Four numbers that are no orientation.
+    """
+    found = dict(given)
+    for body in bodies:
+        names = [f"{body}.orientation.{axis}" for axis in "xyzw"]
+        ranges = [found.get(name, (-math.inf, math.inf)) for name in names]
+        if any(low != high for low, high in ranges):
+            continue
+        values = [low for low, _ in ranges]
+        size = math.hypot(*values)
+        if abs(size - 1.0) > _OFF:
+            raise ModelError(
+                f"{body}.orientation: a quaternion (x, y, z, w) of size {size:g}, accepted: 1"
+            )
+        found |= {name: (one / size, one / size) for name, one in zip(names, values, strict=True)}
+    return found
+
+
+def traceable(scene: Scene, task: PredictTask, recording: Recording | None = None) -> Changed:
+    """A scene with derivatives of every order, and the task for it.
+
+    It has the muscles of the task, and polynomials in place of paths that wrap: what is searched
+    for has no symbols.
+
+    Args:
+        scene: The scene.
+        task: The task.
+        recording: Of the motion; None without one.
+
+    Returns:
+        Scene, task with bounds of joints within which polynomials hold, and a line a change.
+
+    Raises:
+        SceneError: Muscles or paths that cannot be replaced.
+    """
+    lines = list[str]()
+    if task.muscles is not None:
+        scene, line = with_smooth_muscles(scene, task.muscles)
+        lines.append(line)
+    if not wrapping(scene):
+        return scene, task, tuple(lines)
+    limits = dict(_limits(scene, task, recording))
+    scene, more, joints = with_fitted_paths(scene, limits)
+    held = {f"{name}.position": limits[name] for name in sorted(joints)}
+    phases = tuple(replace(one, bounds={**one.bounds, **held}) for one in task.phases)
+    return scene, replace(task, phases=phases), (*lines, *more)
+
+
+def _limits(
+    scene: Scene, task: PredictTask, recording: Recording | None
+) -> Iterator[tuple[str, Range]]:
+    """Ranges of independent joints: bounds of the task, else limits, else near what is named."""
+    q = np.atleast_2d(scene.initial.q)
+    if recording is not None:
+        q = recording.motion(recording.begin + recording.duration * _SHARES)[0]
+    lower, upper = independent_limits(scene.robot, scene.couplings)
+    places = {int(v): i for i, v in enumerate(scene.couplings.v_index)}
+    for joint in scene.robot.joints:
+        if joint.v not in places:
+            continue
+        at, name = places[joint.v], f"{joint.name}.position"
+        named = [*q[:, joint.q].tolist(), *_named(task, name)]
+        near = min(named) - _BESIDE, max(named) + _BESIDE
+        low, high = lower[at], upper[at]
+        for phase in task.phases:
+            for key, (least, most) in phase.bounds.items():
+                if fnmatchcase(name, key):
+                    low, high = least, most
+        yield (
+            joint.name,
+            (
+                float(low) if np.isfinite(low) else near[0],
+                float(high) if np.isfinite(high) else near[1],
+            ),
+        )
+
+
+def _named(task: PredictTask, name: str) -> Iterator[float]:
+    """Values that a task has of a quantity, at ends and in its guess."""
+    for phase in task.phases:
+        for given in (phase.start, phase.end):
+            for key, values in given.items():
+                if fnmatchcase(name, key):
+                    yield from (one for one in values if np.isfinite(one))
+    for key, lines in task.guess.items():
+        if fnmatchcase(name, key):
+            yield from lines

@@ -1,5 +1,7 @@
 """A recorded motion with its loads: what a motion begins with and tracks."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property
@@ -21,33 +23,12 @@ from mbd_ros.optimal_control.problem import GivenInputs, Goal, body_names
 from mbd_ros.parts.sensors.marker import Marker
 from mbd_ros.scene.built_scene import Scene
 
-# ---- recording --------------------------------------------------------------------------------
-# A recorded motion with the loads that were measured: what a motion begins with and tracks.
-
-
 _DEGREE = 5  # of splines, as inverse dynamics takes them
 _DRIFT = 0.1  # of a step: a low-pass that resamples ends a little earlier
 _STEP = 1.0e-4  # s, of differences of orientations
-
-
-class Recording(NamedTuple):
-    """A recording of a motion.
-
-    Attributes:
-        begin: Where the motion begins in it [s].
-        duration: [s].
-        motion: Times [s] -> configurations, velocities and accelerations of all joints.
-        loads: Times [s] -> wrench of each load, in the order of `external_wrenches`.
-        loaded: Names of these loads.
-        remarks: What is odd about its files.
-    """
-
-    begin: float
-    duration: float
-    motion: Callable[[Array], tuple[Array, Array, Array]]
-    loads: Callable[[Array], list[Array]]
-    loaded: tuple[str, ...] = ()
-    remarks: tuple[str, ...] = ()
+_SAMPLES = 501  # of a recording that a search begins with
+_SMOOTH = (".position", ".velocity")  # what has no kinks: splines; straight lines for the rest
+_FEWEST = 4  # samples of a spline
 
 
 def recorded(scene: Scene, task: PredictTask) -> tuple[Scene, PredictTask, Recording | None]:
@@ -84,47 +65,6 @@ def recorded(scene: Scene, task: PredictTask) -> tuple[Scene, PredictTask, Recor
         *(loaded, tuple(external.remarks) if external else ()),
     )
     return scene, _timed(task, found), found
-
-
-def given_inputs(
-    driven: Driven,
-    bounded: Iterable[str],
-    recording: Recording | None,
-    begin: float,
-    duration: float,
-) -> GivenInputs:
-    """The loads of a phase; those that nobody measured are zero, but for those that drive.
-
-    Args:
-        driven: The scene, and which of its wrenches drive its bases.
-        bounded: Names of quantities with bounds.
-        recording: With the loads; None for none.
-        begin: Of the phase [s].
-        duration: Of the phase [s].
-    """
-    names = [name for name in driven.scene.wrenches if name not in driven.residuals]
-    inputs, loaded = driven.scene.inputs, () if recording is None else recording.loaded
-    every = [
-        at for name in names for at in range(inputs.slots[name].start, inputs.slots[name].stop)
-    ]
-    free = set(driving_wrenches(driven.scene, bounded)) if recording is None else set[str]()
-    known = [i for i, at in enumerate(every) if inputs.names[at] not in free]
-    places = np.array(every, dtype=np.intp)[known]
-    kept: list[tuple[bytes, Array]] = []
-
-    def at(shares: Array) -> Array:
-        key = shares.tobytes()
-        if not kept or kept[0][0] != key:
-            none = np.zeros((len(shares), 6))
-            given = dict.fromkeys(names, none)
-            if recording is not None and loaded:
-                loads = recording.loads(begin + duration * shares)
-                given |= dict(zip(loaded, loads, strict=True))
-            whole = np.hstack([given[name] for name in names] or [none[:, :0]])
-            kept[:] = [(key, whole[:, known])]
-        return kept[0][1]
-
-    return GivenInputs(places, at)
 
 
 def _read(scene: Scene, asked: RecordingTask) -> Motion:
@@ -176,23 +116,6 @@ def _measured(scene: Scene, asked: RecordingTask) -> tuple[Callable[..., Any], t
     return at, tuple(samples)
 
 
-def _timed(task: PredictTask, found: Recording) -> PredictTask:
-    """The task with the duration of its recording."""
-    span = found.duration, found.duration
-    phases = tuple(
-        replace(one, duration=span) if one.duration is None else one for one in task.phases
-    )
-    asked = [one.duration or span for one in phases]
-    low, high = (sum(one[i] for one in asked) for i in (0, 1))
-    slack = 1.0e-9 * (1.0 + found.duration)
-    if found.loaded and (high - low > slack or high > found.duration + slack):
-        raise SceneError(
-            f"{task.source}: predict.duration: {low:g} .. {high:g} s, loads are recorded for a "
-            f"motion of {found.duration:g} s; accepted: a number up to that, or recording.times"
-        )
-    return replace(task, phases=phases)
-
-
 def _splines(scene: Scene, motion: Motion) -> Callable[[Array], tuple[Array, Array, Array]]:
     from scipy.interpolate import make_interp_spline  # only where there is a recording
 
@@ -239,31 +162,82 @@ def _twists(base: Any, configuration: Callable[[Array], Array], at: Array) -> tu
     return v.T, ((forward - backward) / _STEP**2).T
 
 
-# ---- references -------------------------------------------------------------------------------
-# Recordings that a motion tracks.
+def _timed(task: PredictTask, found: Recording) -> PredictTask:
+    """The task with the duration of its recording."""
+    span = found.duration, found.duration
+    phases = tuple(
+        replace(one, duration=span) if one.duration is None else one for one in task.phases
+    )
+    asked = [one.duration or span for one in phases]
+    low, high = (sum(one[i] for one in asked) for i in (0, 1))
+    slack = 1.0e-9 * (1.0 + found.duration)
+    if found.loaded and (high - low > slack or high > found.duration + slack):
+        raise SceneError(
+            f"{task.source}: predict.duration: {low:g} .. {high:g} s, loads are recorded for a "
+            f"motion of {found.duration:g} s; accepted: a number up to that, or recording.times"
+        )
+    return replace(task, phases=phases)
 
 
-_SAMPLES = 501  # of a recording that a search begins with
-_SMOOTH = (".position", ".velocity")  # what has no kinks: splines; straight lines for the rest
-_FEWEST = 4  # samples of a spline
+class Recording(NamedTuple):
+    """A recording of a motion.
 
-
-def recorded_lines(quantities: Any, file: Path) -> dict[str, tuple[float, ...]]:
-    """A motion in a file as lines of a guess: quantity -> values at equal times.
-
-    Raises:
-        DataError: A file that cannot be read, or that has no quantity of the motion.
+    Attributes:
+        begin: Where the motion begins in it [s].
+        duration: [s].
+        motion: Times [s] -> configurations, velocities and accelerations of all joints.
+        loads: Times [s] -> wrench of each load, in the order of `external_wrenches`.
+        loaded: Names of these loads.
+        remarks: What is odd about its files.
     """
-    table = read_result(file)[MAIN]
-    places = np.linspace(table[TIME][0], table[TIME][-1], _SAMPLES)
-    found = {
-        name: tuple(np.interp(places, table[TIME], table[name]).tolist())
-        for name in table
-        if name in quantities.names and quantities.find(name)[0].letter in tuple("qvzu")
-    }
-    if not found:
-        raise DataError(f"{file}: no column of the motion, such as {quantities.names[0]}")
-    return found
+
+    begin: float
+    duration: float
+    motion: Callable[[Array], tuple[Array, Array, Array]]
+    loads: Callable[[Array], list[Array]]
+    loaded: tuple[str, ...] = ()
+    remarks: tuple[str, ...] = ()
+
+
+def given_inputs(
+    driven: Driven,
+    bounded: Iterable[str],
+    recording: Recording | None,
+    begin: float,
+    duration: float,
+) -> GivenInputs:
+    """The loads of a phase; those that nobody measured are zero, but for those that drive.
+
+    Args:
+        driven: The scene, and which of its wrenches drive its bases.
+        bounded: Names of quantities with bounds.
+        recording: With the loads; None for none.
+        begin: Of the phase [s].
+        duration: Of the phase [s].
+    """
+    names = [name for name in driven.scene.wrenches if name not in driven.residuals]
+    inputs, loaded = driven.scene.inputs, () if recording is None else recording.loaded
+    every = [
+        at for name in names for at in range(inputs.slots[name].start, inputs.slots[name].stop)
+    ]
+    free = set(driving_wrenches(driven.scene, bounded)) if recording is None else set[str]()
+    known = [i for i, at in enumerate(every) if inputs.names[at] not in free]
+    places = np.array(every, dtype=np.intp)[known]
+    kept: list[tuple[bytes, Array]] = []
+
+    def at(shares: Array) -> Array:
+        key = shares.tobytes()
+        if not kept or kept[0][0] != key:
+            none = np.zeros((len(shares), 6))
+            given = dict.fromkeys(names, none)
+            if recording is not None and loaded:
+                loads = recording.loads(begin + duration * shares)
+                given |= dict(zip(loaded, loads, strict=True))
+            whole = np.hstack([given[name] for name in names] or [none[:, :0]])
+            kept[:] = [(key, whole[:, known])]
+        return kept[0][1]
+
+    return GivenInputs(places, at)
 
 
 class References:
@@ -385,3 +359,21 @@ def _between(name: str, times: Array, values: Array, at: Array) -> Array:
     step = float(np.diff(times).max(initial=0.0))
     distance = np.abs(at[:, None] - times[known][None, :]).min(axis=1)
     return np.where(distance <= 1.001 * step, found, np.nan)
+
+
+def recorded_lines(quantities: Any, file: Path) -> dict[str, tuple[float, ...]]:
+    """A motion in a file as lines of a guess: quantity -> values at equal times.
+
+    Raises:
+        DataError: A file that cannot be read, or that has no quantity of the motion.
+    """
+    table = read_result(file)[MAIN]
+    places = np.linspace(table[TIME][0], table[TIME][-1], _SAMPLES)
+    found = {
+        name: tuple(np.interp(places, table[TIME], table[name]).tolist())
+        for name in table
+        if name in quantities.names and quantities.find(name)[0].letter in tuple("qvzu")
+    }
+    if not found:
+        raise DataError(f"{file}: no column of the motion, such as {quantities.names[0]}")
+    return found

@@ -1,5 +1,7 @@
 """The inputs of a motion integrated again by an accurate method of the package."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -33,50 +35,6 @@ class Replay(NamedTuple):
 
 
 NOT_AGAIN = Replay(float("nan"), "not done for a last iterate")
-
-
-def sources_of(scene: Scene, motions: Sequence[PhaseMotion]) -> dict[str, Source]:
-    """The inputs of a motion as polynomials of the time, by name of the part."""
-    most = max(int(motion.mesh.degrees.max()) for motion in motions)
-    pieces = [_pieces(motion, most) for motion in motions]
-    times = np.concatenate([one for one, _ in pieces])
-    coefficients = np.concatenate([one for _, one in pieces])
-    return {
-        name: Polynomials(times, coefficients[:, :, slots])
-        for name, slots in scene.inputs.slots.items()
-    }
-
-
-def _pieces(motion: PhaseMotion, most: int) -> tuple[Array, Array]:
-    mesh, first = motion.mesh, motion.mesh.first_points
-    found = np.zeros((mesh.intervals, most, motion.points["u"].shape[1]))
-    for i, degree in enumerate(mesh.degrees.tolist()):
-        own = motion.points["u"][first[i] : first[i + 1]]
-        h = motion.duration * mesh.widths[i]
-        powers = mesh.scheme_of(degree).powers() / h ** np.arange(degree)[:, None]
-        found[i, :degree] = powers @ own
-    return motion.begin + motion.duration * mesh.knots[:-1], found
-
-
-def simulation_of(
-    scene: Scene, motions: Sequence[PhaseMotion], error: float, samples: int = 1
-) -> Simulation:
-    """A simulation of a scene under the inputs of a motion, a thousand times finer than it.
-
-    Args:
-        scene: The scene.
-        motions: Of the phases.
-        error: Between nodes, relative.
-        samples: How many of the longest phase it gives.
-    """
-    tolerance = min(max(_SHARE * error, _LEAST), _MOST)
-    is_stiff = any(muscle.is_elastic for muscle in scene.muscles) and not scene.phases
-    word = "auto" if is_stiff else "plain"
-    solver = {"type": word} if scene.solver.tier == "auto" else None
-    dt = max(motion.duration for motion in motions) / samples
-    accurate = {"type": "dop853", "tolerance": tolerance}
-    options = {"integrator": accurate, "dt": dt, "solver": solver}
-    return build_simulation(scene, sources=sources_of(scene, motions), **options)
 
 
 def replay(
@@ -129,6 +87,50 @@ def _from_node(
         for at in simulation.run(x, end - begin):
             last = at
     return deviation(simulation, last, motion, pair[1])
+
+
+def simulation_of(
+    scene: Scene, motions: Sequence[PhaseMotion], error: float, samples: int = 1
+) -> Simulation:
+    """A simulation of a scene under the inputs of a motion, a thousand times finer than it.
+
+    Args:
+        scene: The scene.
+        motions: Of the phases.
+        error: Between nodes, relative.
+        samples: How many of the longest phase it gives.
+    """
+    tolerance = min(max(_SHARE * error, _LEAST), _MOST)
+    is_stiff = any(muscle.is_elastic for muscle in scene.muscles) and not scene.phases
+    word = "auto" if is_stiff else "plain"
+    solver = {"type": word} if scene.solver.tier == "auto" else None
+    dt = max(motion.duration for motion in motions) / samples
+    accurate = {"type": "dop853", "tolerance": tolerance}
+    options = {"integrator": accurate, "dt": dt, "solver": solver}
+    return build_simulation(scene, sources=sources_of(scene, motions), **options)
+
+
+def sources_of(scene: Scene, motions: Sequence[PhaseMotion]) -> dict[str, Source]:
+    """The inputs of a motion as polynomials of the time, by name of the part."""
+    most = max(int(motion.mesh.degrees.max()) for motion in motions)
+    pieces = [_pieces(motion, most) for motion in motions]
+    times = np.concatenate([one for one, _ in pieces])
+    coefficients = np.concatenate([one for _, one in pieces])
+    return {
+        name: Polynomials(times, coefficients[:, :, slots])
+        for name, slots in scene.inputs.slots.items()
+    }
+
+
+def _pieces(motion: PhaseMotion, most: int) -> tuple[Array, Array]:
+    mesh, first = motion.mesh, motion.mesh.first_points
+    found = np.zeros((mesh.intervals, most, motion.points["u"].shape[1]))
+    for i, degree in enumerate(mesh.degrees.tolist()):
+        own = motion.points["u"][first[i] : first[i + 1]]
+        h = motion.duration * mesh.widths[i]
+        powers = mesh.scheme_of(degree).powers() / h ** np.arange(degree)[:, None]
+        found[i, :degree] = powers @ own
+    return motion.begin + motion.duration * mesh.knots[:-1], found
 
 
 def deviation(simulation: Simulation, x: State, motion: PhaseMotion, node: int = -1) -> float:

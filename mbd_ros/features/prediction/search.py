@@ -1,5 +1,7 @@
 """Several guesses of a motion, here or on workers; the cheapest solution counts."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -22,31 +24,9 @@ from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.task_reader import read_task
 from mbd_ros.scene.variants import with_numbers
 
-# ---- starts -----------------------------------------------------------------------------------
-# Several guesses of a motion, here or on workers; the cheapest solution counts.
-
-
 _WAVES = 3  # half waves of a random guess
 _HEIGHT = 0.5  # of the range of all positions
 _EQUAL = 1.0e-8  # costs that are so near are one minimum: the first start that found it counts
-
-
-class Start(NamedTuple):
-    """What became of a guess.
-
-    Attributes:
-        number: 1 for the given guess, others have waves on it.
-        cost: Of the solution, or of the last iterate.
-        is_converged: Whether it is a solution.
-        iterations: On all meshes.
-        error: Between nodes, relative.
-    """
-
-    number: int
-    cost: float
-    is_converged: bool
-    iterations: int
-    error: float
 
 
 class Where(NamedTuple):
@@ -62,176 +42,13 @@ class Where(NamedTuple):
     scheduler: str | None = None
     order: Mapping[str, Any] | None = None
 
-    def with_numbers(self, numbers: Mapping[str, float]) -> "Where":
+    def with_numbers(self, numbers: Mapping[str, float]) -> Where:
         """The same for a scene with other numbers."""
         order = None if self.order is None else {**self.order, "numbers": dict(numbers)}
         return self._replace(order=order)
 
 
 HERE = Where()
-
-
-def where_of(scene: Scene, task: Any, workers: int | None, scheduler: str | None) -> Where:
-    """Where starts of a task are tried: here, if a worker could not read scene and task.
-
-    Args:
-        scene: The scene.
-        task: Task file, or keys of its section.
-        workers: How many processes; None for one a core.
-        scheduler: Of a Dask cluster.
-
-    Raises:
-        DataError: Workers are asked for, and the scene is no file or calls functions.
-    """
-    given = task
-    if isinstance(task, str | Path):  # a name is a task that comes with the package
-        given = str(Path(task).absolute()) if Path(task).exists() else str(task)
-    can_travel = scene.path is not None and not scene.code
-    try:
-        json.dumps(given)
-    except TypeError:
-        can_travel = False
-    if can_travel:
-        return Where(workers, scheduler, {"scene": str(scene.path), "task": given})
-    if scheduler is not None or (workers or 1) > 1:
-        raise DataError(
-            f"{scene.name}: starts on workers need a scene from a file, without functions"
-        )
-    return HERE
-
-
-def best_of(
-    problem: Problem, task: PredictTask, say: Say, where: Where = HERE
-) -> tuple[Found, list[Start]]:
-    """The cheapest solution from the guess and from random ones around it.
-
-    Args:
-        problem: What is solved.
-        task: The task.
-        say: Is told a line a mesh, or a line a start.
-        where: Where they are tried.
-    """
-    if task.starts == 1:
-        return solve(problem, task, say), []
-    if where.order is None or (where.workers == 1 and where.scheduler is None):
-        return _one_by_one(problem, task, say)
-    starts = list(_on_workers(task.starts, say, where))
-    best = chosen(starts).number if starts else 1
-    say(f"the best is start {best}")
-    return solve(started(problem, best), task, say), starts
-
-
-def chosen(starts: list[Start]) -> Start:
-    """The first of the cheapest solutions; of last iterates where there is none."""
-    good = [one for one in starts if one.is_converged] or starts
-    least = min(one.cost for one in good)
-    near = [one for one in good if one.cost <= least + _EQUAL * abs(least)]
-    return min(near, key=lambda one: one.number)
-
-
-def _one_by_one(problem: Problem, task: PredictTask, say: Say) -> tuple[Found, list[Start]]:
-    starts, best = list[Start](), None
-    for number in range(1, task.starts + 1):
-        if number > 1:
-            say(f"start {number} of {task.starts}")
-        found = solve(started(problem, number), task, say)
-        is_stopped = found.is_interrupted or found.solution.solved.status == STOPPED
-        if best is None or not is_stopped:
-            starts.append(_told(number, found))
-            best = found if chosen(starts).number == number else best
-        if is_stopped:
-            break
-    assert best is not None
-    return best, starts
-
-
-def _on_workers(count: int, say: Say, where: Where) -> Iterator[Start]:
-    """All starts, or those that were done until Ctrl-C, in their order."""
-    order, done = dict(where.order or {}), list[Start]()
-    try:
-        with open_workers(where.scheduler, where.workers or cores()) as opened:
-            tasks = [
-                Task(f"start {number}", f"{__name__}:try_start", {**order, "number": number})
-                for number in range(1, count + 1)
-            ]
-            for one, result in watched(do_all(opened, tasks), tasks, opened.count):
-                if result.failure:
-                    raise DataError(f"{one.name}: {result.failure}")
-                done.append(Start(*result.value))
-                say(_line(done[-1], count))
-    except KeyboardInterrupt:
-        say(f"interrupted after {len(done)} of {count} starts")
-    return iter(sorted(done))
-
-
-def try_start(order: Mapping[str, Any]) -> list[Any]:
-    """Solve from one guess, in a worker."""
-    scene, given = load_scene(order["scene"]), order["task"]
-    if isinstance(given, str):
-        task = read_task(given, scene).parts["predict"]
-    else:
-        task = predict_task(given, "predict")
-    numbers = order.get("numbers")
-    problem = problem_of(with_numbers(scene, numbers) if numbers else scene, task)
-    number = int(order["number"])
-    return list(_told(number, solve(started(problem, number), task, lambda line: None)))
-
-
-def _told(number: int, found: Found) -> Start:
-    return Start(number, found.cost, found.is_converged, found.iterations, found.worst)
-
-
-def _line(one: Start, count: int) -> str:
-    word = "" if one.is_converged else ", not converged"
-    return (
-        f"start {one.number} of {count}: cost {one.cost:.12g}, {one.iterations} iterations{word}"
-    )
-
-
-def started(problem: Problem, number: int) -> Problem:
-    """The problem with the guess of a start: the given one, or with random waves of its own."""
-    if number == 1:
-        return problem
-    random = np.random.default_rng(number - 1)
-    return problem._replace(guesses=[_shaken(motion, random) for motion in problem.guesses])
-
-
-def _shaken(motion: PhaseMotion, random: np.random.Generator) -> PhaseMotion:
-    """A guess with random waves on its positions, none at the ends."""
-    mesh, flat = motion.mesh, not motion.bases
-    nq = motion.nodes["q"].shape[1]
-    size = max(float(np.ptp(motion.nodes["q"], axis=0).max(initial=0.0)), 1.0) * _HEIGHT
-    heights = size * random.standard_normal((_WAVES, nq)) * flat
-    nodes, points = dict(motion.nodes), dict(motion.points)
-    for shares, found in ((mesh.knots, nodes), (mesh.shares, points)):
-        wave, slope = _waves(shares)
-        found["q"] = found["q"] + wave @ heights
-        if flat:
-            found["v"] = found["v"] + slope @ heights / motion.duration
-    return motion._replace(nodes=nodes, points=points)
-
-
-def _waves(shares: Array) -> tuple[Array, Array]:
-    turns = np.pi * np.arange(1, _WAVES + 1)
-    return np.sin(shares[:, None] * turns), np.cos(shares[:, None] * turns) * turns
-
-
-# ---- searching --------------------------------------------------------------------------------
-# Several guesses, and several values of numbers of a scene, one after the other.
-
-
-class Step(NamedTuple):
-    """A value of a continuation.
-
-    Attributes:
-        numbers: Of the scene, by name.
-        found: The solution there.
-        starts: What became of each start; empty for one alone.
-    """
-
-    numbers: dict[str, float]
-    found: Found
-    starts: Sequence[Start] = ()
 
 
 def search(scene: Scene, task: PredictTask, say: Say, where: Where = HERE) -> list[Step]:
@@ -266,6 +83,20 @@ def search(scene: Scene, task: PredictTask, say: Say, where: Where = HERE) -> li
     return found
 
 
+class Step(NamedTuple):
+    """A value of a continuation.
+
+    Attributes:
+        numbers: Of the scene, by name.
+        found: The solution there.
+        starts: What became of each start; empty for one alone.
+    """
+
+    numbers: dict[str, float]
+    found: Found
+    starts: Sequence[Start] = ()
+
+
 def _values(task: PredictTask) -> Iterator[dict[str, float]]:
     counts = {len(values) for values in task.continuation.values()}
     if len(counts) > 1:
@@ -274,3 +105,166 @@ def _values(task: PredictTask) -> Iterator[dict[str, float]]:
         yield {}
     for i in range(counts.pop() if counts else 0):
         yield {name: values[i] for name, values in task.continuation.items()}
+
+
+def best_of(
+    problem: Problem, task: PredictTask, say: Say, where: Where = HERE
+) -> tuple[Found, list[Start]]:
+    """The cheapest solution from the guess and from random ones around it.
+
+    Args:
+        problem: What is solved.
+        task: The task.
+        say: Is told a line a mesh, or a line a start.
+        where: Where they are tried.
+    """
+    if task.starts == 1:
+        return solve(problem, task, say), []
+    if where.order is None or (where.workers == 1 and where.scheduler is None):
+        return _one_by_one(problem, task, say)
+    starts = list(_on_workers(task.starts, say, where))
+    best = chosen(starts).number if starts else 1
+    say(f"the best is start {best}")
+    return solve(started(problem, best), task, say), starts
+
+
+def _one_by_one(problem: Problem, task: PredictTask, say: Say) -> tuple[Found, list[Start]]:
+    starts, best = list[Start](), None
+    for number in range(1, task.starts + 1):
+        if number > 1:
+            say(f"start {number} of {task.starts}")
+        found = solve(started(problem, number), task, say)
+        is_stopped = found.is_interrupted or found.solution.solved.status == STOPPED
+        if best is None or not is_stopped:
+            starts.append(_told(number, found))
+            best = found if chosen(starts).number == number else best
+        if is_stopped:
+            break
+    assert best is not None
+    return best, starts
+
+
+def _told(number: int, found: Found) -> Start:
+    return Start(number, found.cost, found.is_converged, found.iterations, found.worst)
+
+
+def _on_workers(count: int, say: Say, where: Where) -> Iterator[Start]:
+    """All starts, or those that were done until Ctrl-C, in their order."""
+    order, done = dict(where.order or {}), list[Start]()
+    try:
+        with open_workers(where.scheduler, where.workers or cores()) as opened:
+            tasks = [
+                Task(f"start {number}", f"{__name__}:try_start", {**order, "number": number})
+                for number in range(1, count + 1)
+            ]
+            for one, result in watched(do_all(opened, tasks), tasks, opened.count):
+                if result.failure:
+                    raise DataError(f"{one.name}: {result.failure}")
+                done.append(Start(*result.value))
+                say(_line(done[-1], count))
+    except KeyboardInterrupt:
+        say(f"interrupted after {len(done)} of {count} starts")
+    return iter(sorted(done))
+
+
+def _line(one: Start, count: int) -> str:
+    word = "" if one.is_converged else ", not converged"
+    return (
+        f"start {one.number} of {count}: cost {one.cost:.12g}, {one.iterations} iterations{word}"
+    )
+
+
+def try_start(order: Mapping[str, Any]) -> list[Any]:
+    """Solve from one guess, in a worker."""
+    scene, given = load_scene(order["scene"]), order["task"]
+    if isinstance(given, str):
+        task = read_task(given, scene).parts["predict"]
+    else:
+        task = predict_task(given, "predict")
+    numbers = order.get("numbers")
+    problem = problem_of(with_numbers(scene, numbers) if numbers else scene, task)
+    number = int(order["number"])
+    return list(_told(number, solve(started(problem, number), task, lambda line: None)))
+
+
+def chosen(starts: list[Start]) -> Start:
+    """The first of the cheapest solutions; of last iterates where there is none."""
+    good = [one for one in starts if one.is_converged] or starts
+    least = min(one.cost for one in good)
+    near = [one for one in good if one.cost <= least + _EQUAL * abs(least)]
+    return min(near, key=lambda one: one.number)
+
+
+class Start(NamedTuple):
+    """What became of a guess.
+
+    Attributes:
+        number: 1 for the given guess, others have waves on it.
+        cost: Of the solution, or of the last iterate.
+        is_converged: Whether it is a solution.
+        iterations: On all meshes.
+        error: Between nodes, relative.
+    """
+
+    number: int
+    cost: float
+    is_converged: bool
+    iterations: int
+    error: float
+
+
+def where_of(scene: Scene, task: Any, workers: int | None, scheduler: str | None) -> Where:
+    """Where starts of a task are tried: here, if a worker could not read scene and task.
+
+    Args:
+        scene: The scene.
+        task: Task file, or keys of its section.
+        workers: How many processes; None for one a core.
+        scheduler: Of a Dask cluster.
+
+    Raises:
+        DataError: Workers are asked for, and the scene is no file or calls functions.
+    """
+    given = task
+    if isinstance(task, str | Path):  # a name is a task that comes with the package
+        given = str(Path(task).absolute()) if Path(task).exists() else str(task)
+    can_travel = scene.path is not None and not scene.code
+    try:
+        json.dumps(given)
+    except TypeError:
+        can_travel = False
+    if can_travel:
+        return Where(workers, scheduler, {"scene": str(scene.path), "task": given})
+    if scheduler is not None or (workers or 1) > 1:
+        raise DataError(
+            f"{scene.name}: starts on workers need a scene from a file, without functions"
+        )
+    return HERE
+
+
+def started(problem: Problem, number: int) -> Problem:
+    """The problem with the guess of a start: the given one, or with random waves of its own."""
+    if number == 1:
+        return problem
+    random = np.random.default_rng(number - 1)
+    return problem._replace(guesses=[_shaken(motion, random) for motion in problem.guesses])
+
+
+def _shaken(motion: PhaseMotion, random: np.random.Generator) -> PhaseMotion:
+    """A guess with random waves on its positions, none at the ends."""
+    mesh, flat = motion.mesh, not motion.bases
+    nq = motion.nodes["q"].shape[1]
+    size = max(float(np.ptp(motion.nodes["q"], axis=0).max(initial=0.0)), 1.0) * _HEIGHT
+    heights = size * random.standard_normal((_WAVES, nq)) * flat
+    nodes, points = dict(motion.nodes), dict(motion.points)
+    for shares, found in ((mesh.knots, nodes), (mesh.shares, points)):
+        wave, slope = _waves(shares)
+        found["q"] = found["q"] + wave @ heights
+        if flat:
+            found["v"] = found["v"] + slope @ heights / motion.duration
+    return motion._replace(nodes=nodes, points=points)
+
+
+def _waves(shares: Array) -> tuple[Array, Array]:
+    turns = np.pi * np.arange(1, _WAVES + 1)
+    return np.sin(shares[:, None] * turns), np.cos(shares[:, None] * turns) * turns

@@ -1,5 +1,7 @@
 """A scene with derivatives of every order: polynomials in place of wraps, smooth muscles."""
 
+from __future__ import annotations
+
 import inspect
 from collections.abc import Mapping
 from typing import Any, NamedTuple
@@ -16,39 +18,63 @@ from mbd_ros.scene.reading.path_entries import path_of
 from mbd_ros.scene.runs.path_search import QuickestSearch
 from mbd_ros.scene.variants import with_sections
 
-# ---- wrapping entries -------------------------------------------------------------------------
-# Where entries of paths that wrap stand in a scene.
-
-
 _SECTIONS = ("muscles", "forces", "actuators", "constraints")
-
-
-class Place(NamedTuple):
-    """Where the entry of a path stands: section, and place or key there."""
-
-    section: str
-    at: int | str
-
-
-def wrapping(scene: Scene) -> list[Place]:
-    """Entries of paths that wrap."""
-    paths = scene.entries.get("paths") or {}
-    found = [Place("paths", name) for name, one in paths.items() if one.get("wraps")]
-    for section in _SECTIONS:
-        for i, one in enumerate(scene.entries.get(section) or ()):
-            path = one.get("path")
-            if isinstance(path, Mapping) and path.get("wraps"):
-                found.append(Place(section, i))
-    return found
-
-
-# ---- fitted paths -----------------------------------------------------------------------------
-# Polynomials in place of paths that wrap: what is searched for has no symbols.
-
-
 _LOOKS = 40  # random poses that show which joints change a path
 _STILL = 1.0e-9  # m per rad or m: an arm of none
 _LOST = 0.2  # of the poses: so many may have no path
+SMOOTH = "degroote_fregly"
+_KEPT = (
+    "path",
+    "max_isometric_force",
+    "optimal_fiber_length",
+    "tendon_slack_length",
+    "pennation_angle",
+    "maximum_pennation_angle",
+    "max_contraction_velocity",
+    "activation_time",
+    "deactivation_time",
+    "minimum_activation",
+    "tendon",
+    "tendon_strain",
+    "passive_strain",
+)
+_NOTHING: Mapping[str, Any] = {}
+
+
+def with_smooth_muscles(scene: Scene, more: Mapping[str, Any] = _NOTHING) -> tuple[Scene, str]:
+    """A scene whose muscles are `degroote_fregly`, with sizes and times of those it had.
+
+    Args:
+        scene: The scene.
+        more: Arguments that all of them get besides, such as `tendon`.
+
+    Returns:
+        The scene, and what changed, for people.
+
+    Raises:
+        SceneError: It has no muscles, or they do not take these arguments.
+    """
+    if not scene.muscles:
+        raise SceneError(f"{scene.name}: muscles: the scene has none")
+    types = sorted({str(entry["type"]) for entry in scene.entries["muscles"]})
+    words = ", ".join(f"{key} {value}" for key, value in more.items())
+    line = f"muscles: {', '.join(types)} -> {SMOOTH}" + (f" with {words}" if words else "")
+    return with_sections(scene, muscles=smooth_entries(scene, more)), line
+
+
+def smooth_entries(scene: Scene, more: Mapping[str, Any] = _NOTHING) -> list[dict[str, Any]]:
+    """Entries of smooth muscles in place of those of a scene; `more` for all of them."""
+    given = zip(scene.muscles, scene.entries["muscles"], strict=True)
+    return [_smooth(muscle, entry, more) for muscle, entry in given]
+
+
+def _smooth(muscle: Any, entry: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
+    """The entry of a muscle with other curves; what its own left out is what its type says."""
+    if entry["type"] == SMOOTH:
+        return {**entry, **more}
+    usual = inspect.signature(type(muscle).__init__).parameters
+    kept = {key: entry.get(key, usual[key].default) for key in _KEPT if key in usual}
+    return {"type": SMOOTH, "name": muscle.name, **kept, **more}
 
 
 def with_fitted_paths(
@@ -168,60 +194,20 @@ def _found(batch: PathBatch, y: Array) -> tuple[Any, Array, Array]:
     return np.ones(len(y), dtype=np.bool_), found.lengths[:, 0], found.arms[:, 0]
 
 
-# ---- smooth muscles ---------------------------------------------------------------------------
-# Muscles of a scene with curves that have derivatives of every order.
+def wrapping(scene: Scene) -> list[Place]:
+    """Entries of paths that wrap."""
+    paths = scene.entries.get("paths") or {}
+    found = [Place("paths", name) for name, one in paths.items() if one.get("wraps")]
+    for section in _SECTIONS:
+        for i, one in enumerate(scene.entries.get(section) or ()):
+            path = one.get("path")
+            if isinstance(path, Mapping) and path.get("wraps"):
+                found.append(Place(section, i))
+    return found
 
 
-SMOOTH = "degroote_fregly"
-_KEPT = (
-    "path",
-    "max_isometric_force",
-    "optimal_fiber_length",
-    "tendon_slack_length",
-    "pennation_angle",
-    "maximum_pennation_angle",
-    "max_contraction_velocity",
-    "activation_time",
-    "deactivation_time",
-    "minimum_activation",
-    "tendon",
-    "tendon_strain",
-    "passive_strain",
-)
-_NOTHING: Mapping[str, Any] = {}
+class Place(NamedTuple):
+    """Where the entry of a path stands: section, and place or key there."""
 
-
-def with_smooth_muscles(scene: Scene, more: Mapping[str, Any] = _NOTHING) -> tuple[Scene, str]:
-    """A scene whose muscles are `degroote_fregly`, with sizes and times of those it had.
-
-    Args:
-        scene: The scene.
-        more: Arguments that all of them get besides, such as `tendon`.
-
-    Returns:
-        The scene, and what changed, for people.
-
-    Raises:
-        SceneError: It has no muscles, or they do not take these arguments.
-    """
-    if not scene.muscles:
-        raise SceneError(f"{scene.name}: muscles: the scene has none")
-    types = sorted({str(entry["type"]) for entry in scene.entries["muscles"]})
-    words = ", ".join(f"{key} {value}" for key, value in more.items())
-    line = f"muscles: {', '.join(types)} -> {SMOOTH}" + (f" with {words}" if words else "")
-    return with_sections(scene, muscles=smooth_entries(scene, more)), line
-
-
-def smooth_entries(scene: Scene, more: Mapping[str, Any] = _NOTHING) -> list[dict[str, Any]]:
-    """Entries of smooth muscles in place of those of a scene; `more` for all of them."""
-    given = zip(scene.muscles, scene.entries["muscles"], strict=True)
-    return [_smooth(muscle, entry, more) for muscle, entry in given]
-
-
-def _smooth(muscle: Any, entry: Mapping[str, Any], more: Mapping[str, Any]) -> dict[str, Any]:
-    """The entry of a muscle with other curves; what its own left out is what its type says."""
-    if entry["type"] == SMOOTH:
-        return {**entry, **more}
-    usual = inspect.signature(type(muscle).__init__).parameters
-    kept = {key: entry.get(key, usual[key].default) for key in _KEPT if key in usual}
-    return {"type": SMOOTH, "name": muscle.name, **kept, **more}
+    section: str
+    at: int | str

@@ -1,5 +1,7 @@
 """A program solved on finer and finer meshes, until errors between nodes are small enough."""
 
+from __future__ import annotations
+
 import math
 import signal
 import threading
@@ -31,61 +33,9 @@ if TYPE_CHECKING:
     from mbd_ros.optimal_control.ipopt import Progress, Tell
     from mbd_ros.optimal_control.motion_program import Solution
 
-
-# ---- attempts ---------------------------------------------------------------------------------
-# A program solved from a guess, and from others where that leads nowhere.
-
-
-# The motion that a scene has by itself as a guess: without inputs its equations hold exactly.
-
 _ACCURATE = 1.0e-3  # error of a motion that is a guess
 _SAMPLES = 200
 _LARGEST = 1.0e3  # times the usual sizes: a motion that goes further is no guess
-
-
-def passive(problem: Problem) -> list[PhaseMotion] | None:
-    """The motion from the beginning of the guess without inputs; None where there is none.
-
-    Args:
-        problem: Of one phase of a scene without phases and recording.
-    """
-    if len(problem.guesses) > 1 or problem.scene.phases or problem.recording is not None:
-        return None
-    (guess,) = problem.guesses
-    idle = np.array(problem.modes[0].system.loads.idle, dtype=np.float64)
-    points = {**guess.points, "u": np.tile(idle, (len(guess.points["u"]), 1))}
-    still = guess._replace(points=points)
-    simulation = simulation_of(problem.scene, [still], _ACCURATE, _SAMPLES)
-    first = State(guess.begin, *(guess.nodes[key][0] for key in "qvz"))
-    x = simulation.system.expand(first)
-    x = x._replace(mode=problem.modes[0].mode) if problem.modes[0].mode else x
-    states = [simulation.system.reduce(x)]
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):
-            states += [simulation.system.reduce(at) for at in simulation.run(x, guess.duration)]
-    except MbdError:
-        return None
-    sampled = {key: np.array([getattr(one, key) for one in states]) for key in "qvz"}
-    if not all(np.abs(one).max(initial=0.0) < _LARGEST for one in sampled.values()):
-        return None
-    times = np.array([one.t for one in states])
-    return [_written(still, (times - guess.begin) / guess.duration, sampled)]
-
-
-def _written(motion: PhaseMotion, shares: Array, sampled: dict[str, Array]) -> PhaseMotion:
-    nodes, points = dict(motion.nodes), dict(motion.points)
-    for at, found in ((motion.mesh.knots, nodes), (motion.mesh.shares, points)):
-        for key, values in sampled.items():
-            columns = [np.interp(at, shares, one) for one in values.T]
-            found[key] = np.array(columns).reshape(-1, len(at)).T
-    for q, _ in motion.bases:
-        for found in (nodes, points):
-            turn = found["q"][:, q + 3 : q + 7]
-            turn /= np.linalg.norm(turn, axis=1, keepdims=True)
-    points["d"] = steps_of(motion.mesh, nodes["q"], points["q"], motion.bases)
-    return motion._replace(nodes=nodes, points=points)
-
-
 _PATIENCE = 200  # iterations from a guess before another one is tried
 _LOST = (  # the solver found no way, which says nothing of the program
     "Maximum_Iterations_Exceeded",
@@ -94,312 +44,12 @@ _LOST = (  # the solver found no way, which says nothing of the program
     "Error_In_Step_Computation",
     "Invalid_Number_Detected",
 )
-
-
-class Beginning(NamedTuple):
-    """What a program begins with.
-
-    Attributes:
-        guesses: Of each phase.
-        parameters: Values of parameters.
-        links: Unknowns of what links phases; None for zeros.
-        cost_size: Usual size of the cost.
-        is_near: Whether that solves a program that is nearly this one.
-    """
-
-    guesses: list[PhaseMotion]
-    parameters: Array
-    links: Array | None = None
-    cost_size: float = 1.0
-    is_near: bool = False
-
-
-def solved_from(
-    problem: Problem, begin: Beginning, task: PredictTask, tell: "Tell", say: Say
-) -> "tuple[Solution, int]":
-    """The solution from a guess, or the last iterate, and the iterations that all of it took.
-
-    From a solution on another mesh the solver looks nearby, then further away; from a guess it
-    looks for some time, then from the motion without inputs, then from the guess until the end.
-    Free bodies that go where they like begin with the motion without inputs.
-
-    Args:
-        problem: What is solved.
-        begin: What the program begins with.
-        task: The task.
-        tell: See `MotionProgram.solve`.
-        say: Is told where another guess is tried.
-    """
-    total = 0
-    for number, (one, most, word) in enumerate(_attempts(problem, begin, task)):
-        if number:
-            say(f"no way found from there: once more from {word}")
-        solution = problem.program.solve(
-            one.guesses,
-            one.parameters,
-            accuracy=task.accuracy,
-            cost_size=one.cost_size,
-            most=most,
-            is_near=one.is_near,
-            links=one.links,
-            has_kinks=problem.recording is not None,
-            tell=tell,
-        )
-        total += solution.solved.iterations
-        if solution.solved.status not in _LOST:
-            break
-    return solution, total
-
-
-def _attempts(
-    problem: Problem, begin: Beginning, task: PredictTask
-) -> Iterator[tuple[Beginning, int, str]]:
-    """What is begun with, at most so many iterations, and what that is called."""
-    most = task.iterations
-    some = min(_PATIENCE, most)
-    if begin.is_near:
-        yield begin, some, ""
-        yield begin._replace(is_near=False), most, "a wider search on this mesh"
-        return
-    if most <= some or problem.recording is not None:
-        yield begin, most, ""
-        return
-    given, drifts = (begin, some, "the given guess"), _drifts(problem, task)
-    if not drifts:
-        yield given
-    by_itself = passive(problem)
-    if by_itself is not None:
-        yield begin._replace(guesses=by_itself), some, "the motion without inputs"
-    if drifts:
-        yield given
-    yield begin, most, "the given guess, for longer"
-
-
-def _drifts(problem: Problem, task: PredictTask) -> bool:
-    """Whether free bodies go where nothing but their motion says, so that no line leads there."""
-    if task.guess or task.guess_file is not None:
-        return False
-    phase = problem.program.phases[0]
-    bodies = {name for base in problem.scene.robot.bases for name in body_names(base.name)}
-    found = (one.name for name in phase.problem.end for one in phase.quantities.find(name))
-    return bool(bodies) and bodies.isdisjoint(found)
-
-
-# ---- mesh errors ------------------------------------------------------------------------------
-# What a solution says of the mesh that it wants: where bounds begin, end and are passed.
-
-
 SAVED = 0.03  # of the tolerance: what passing bounds between points may save of the cost
 _PART = 0.1  # of what the worst bound of an interval saves: less does not matter
-
-
-class Passing(NamedTuple):
-    """A bound that is passed between nodes.
-
-    Attributes:
-        name: Of the quantity.
-        side: -1 for the lower bound, 1 for the upper one.
-        bound: The bound.
-        time: Where it is passed furthest [s].
-        by: How far there.
-        relative: The same, relative to 1 + the largest value.
-        saved: What all passing of this bound saves, of the cost.
-        severity: The same, relative to what is accepted: too far above 1.
-    """
-
-    name: str
-    side: int
-    bound: float
-    time: float
-    by: float
-    relative: float
-    saved: float
-    severity: float
-
-
-class Look(NamedTuple):
-    """What a solution says of the mesh that it wants.
-
-    Attributes:
-        knots: Where bounds of inputs change, as shares of the duration.
-        status: Of bounds of states at the points.
-        begins: The same at the first node of each interval.
-        passed: Which intervals pass which bounds of states too far between their points, (n, k).
-        passings: Bounds that are passed at all, the worst one first.
-        is_settled: Whether every change of inputs is at a node that could move.
-    """
-
-    knots: list[float]
-    status: Any
-    begins: Any
-    passed: Any
-    passings: list[Passing]
-    is_settled: bool
-
-
-def accepted_passing(task: PredictTask) -> float:
-    """How far a bound may be passed between nodes, relative to 1 + the largest value.
-
-    Next to a bound whose multiplier is nearly zero a solution wavers by the root of the accuracy
-    of the solver, on any mesh. What it saves is held against the tolerance apart from this.
-    """
-    return max(task.tolerance, math.sqrt(task.accuracy))
-
-
-def look_at(problem: Problem, number: int, solution: "Solution", task: PredictTask) -> Look:
-    """Look at the bounds of a phase.
-
-    Bounds of states are passed too far where that is more than `accepted_passing`, or where it
-    saves more than a share of the tolerance of the cost, by the multipliers of the bounds.
-    """
-    from mbd_ros.optimal_control.active_bounds import begins_of, path_forces, status_of
-
-    phase, motion = problem.program.phases[number], solution.motions[number]
-    unknowns, solved = solution.unknowns[number], solution.solved
-    status, nu = status_of(phase, number, solution), motion.points["u"].shape[1]
-    knots = changes(motion.mesh, status, motion.points["u"])
-    shares, values = looked_at(motion)
-    held = phase.held_between(unknowns, shares, values, solution.parameters)
-    off = beyond_bounds(*held)
-    places = np.hstack([unknowns.points[letter] for letter in "qvz"])
-    sizes = 1.0 + np.abs(solved.x[places]).max(axis=0, initial=0.0)
-    sizes = np.append(sizes, 1.0 + np.abs(held[0][:, len(sizes) :]).max(axis=0, initial=0.0))
-    pulls = np.hstack((np.abs(solved.bound_forces[places]), path_forces(solution, number)))
-    pulls = np.add.reduceat(pulls, motion.mesh.first_points[:-1], axis=0)
-    saved = pulls * off / (abs(solved.cost) or 1.0)
-    passed = (off / sizes > accepted_passing(task)) | _saving(saved, SAVED * task.tolerance)
-    return Look(
-        knots,
-        status[:, nu:],
-        begins_of(phase, number, solution),
-        passed,
-        _passings(phase, motion, held, sizes, saved, task),
-        is_settled(motion.mesh, knots),
-    )
-
-
-def next_mesh(mesh: Mesh, errors: Array, look: Look, tolerance: float) -> Mesh:
-    """A mesh on which errors are smaller."""
-    if look.passed.any():
-        wanted = look.passed | (errors > tolerance)[:, None]
-        return bracketed(mesh, look.status, look.begins, wanted)
-    return with_knots(refined(mesh, errors, tolerance), look.knots)
-
-
-def _saving(saved: Array, most: float) -> Any:
-    """Which bounds save too much in which intervals, shape (n, k)."""
-    of_each = saved.sum(axis=1, keepdims=True)
-    if of_each.sum() <= most:
-        return np.zeros(saved.shape, dtype=np.bool_)
-    rising = np.argsort(of_each[:, 0])
-    is_left = np.cumsum(of_each[rising, 0]) <= most / 2.0
-    matters = saved > _PART * saved.max(axis=1, keepdims=True)
-    matters[rising[is_left]] = False
-    return matters
-
-
-def _passings(
-    phase: Any, motion: Any, held: Any, sizes: Array, saved: Array, task: PredictTask
-) -> list[Passing]:
-    """Bounds that are passed, the worst one first."""
-    values, lower, upper = held
-    off = np.maximum(np.maximum(lower - values, values - upper), 0.0)
-    shares, _ = looked_at(motion)
-    found = list[Passing]()
-    for k, name in enumerate(phase.names_held()):
-        i = int(off[:, k].argmax())
-        if off[i, k] > 0.0:
-            side = 1 if values[i, k] > upper[k] else -1
-            bound = float(upper[k] if side > 0 else lower[k])
-            time = float(motion.begin + motion.duration * shares[i])
-            by, cost = float(off[i, k]), float(saved[:, k].sum())
-            relative = by / float(sizes[k])
-            severity = max(relative / accepted_passing(task), cost / (SAVED * task.tolerance))
-            found.append(Passing(name, side, bound, time, by, relative, cost, severity))
-    return sorted(found, key=lambda one: -one.severity)
-
-
-# ---- solving ----------------------------------------------------------------------------------
-# A program solved on finer and finer meshes, until errors between nodes are small enough.
-
-
-# Ctrl-C ends a search after an iteration instead of the process, so that what it has is kept.
-
-
-class Interruption:
-    """Whether somebody asked for the end.
-
-    Attributes:
-        is_asked: Whether it was.
-    """
-
-    def __init__(self) -> None:
-        self.is_asked = False
-
-
-@contextmanager
-def interruptible() -> Iterator[Interruption]:
-    """Take SIGINT for as long as the context lasts; nothing in other threads than the main one."""
-    found = Interruption()
-    if threading.current_thread() is not threading.main_thread():
-        yield found
-        return
-
-    def ask(number: int, frame: object) -> None:
-        found.is_asked = True
-
-    before = signal.signal(signal.SIGINT, ask)
-    try:
-        yield found
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 STOPPED = "User_Requested_Stop"
 _LEAST = 1.0e-9  # of the usual size of a cost: less is none
 _CLOSE = 1.0e-2  # error with which a solution beside a recording leads to that of another mesh
 _STAYING, _ALIKE, _NEAR = 40, 1.0e-4, 1.0e-3  # iterations, their costs, their violations
-
-
-class Found(NamedTuple):
-    """A solution, or the last iterate.
-
-    Attributes:
-        problem: What was solved.
-        solution: Of the last mesh.
-        errors: Relative errors between nodes, of each interval of each phase.
-        is_fine: Whether the errors are within the tolerance, and no bound is passed too far.
-        iterations: On all meshes.
-        lines: One a mesh, for people.
-        passings: Bounds that are passed between nodes, the worst one first.
-        is_interrupted: Whether somebody ended it between two meshes.
-        keeps_limits: Whether contacts that are held neither pull nor slip, as far as is known.
-    """
-
-    problem: Problem
-    solution: "Solution"
-    errors: list[Array]
-    is_fine: bool
-    iterations: int
-    lines: list[str]
-    passings: tuple[Passing, ...] = ()
-    is_interrupted: bool = False
-    keeps_limits: bool = True
-
-    @property
-    def is_converged(self) -> bool:
-        """Whether conditions of optimality hold and errors are within the tolerance."""
-        return self.solution.solved.is_good and self.is_fine
-
-    @property
-    def cost(self) -> float:
-        """The cost."""
-        return self.solution.solved.cost
-
-    @property
-    def worst(self) -> float:
-        """Largest relative error between nodes."""
-        return max(float(one.max(initial=0.0)) for one in self.errors)
 
 
 def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
@@ -458,8 +108,49 @@ def _refined(problem: Problem, task: PredictTask, say: Say, interruption: Interr
     return found
 
 
+class Found(NamedTuple):
+    """A solution, or the last iterate.
+
+    Attributes:
+        problem: What was solved.
+        solution: Of the last mesh.
+        errors: Relative errors between nodes, of each interval of each phase.
+        is_fine: Whether the errors are within the tolerance, and no bound is passed too far.
+        iterations: On all meshes.
+        lines: One a mesh, for people.
+        passings: Bounds that are passed between nodes, the worst one first.
+        is_interrupted: Whether somebody ended it between two meshes.
+        keeps_limits: Whether contacts that are held neither pull nor slip, as far as is known.
+    """
+
+    problem: Problem
+    solution: Solution
+    errors: list[Array]
+    is_fine: bool
+    iterations: int
+    lines: list[str]
+    passings: tuple[Passing, ...] = ()
+    is_interrupted: bool = False
+    keeps_limits: bool = True
+
+    @property
+    def is_converged(self) -> bool:
+        """Whether conditions of optimality hold and errors are within the tolerance."""
+        return self.solution.solved.is_good and self.is_fine
+
+    @property
+    def cost(self) -> float:
+        """The cost."""
+        return self.solution.solved.cost
+
+    @property
+    def worst(self) -> float:
+        """Largest relative error between nodes."""
+        return max(float(one.max(initial=0.0)) for one in self.errors)
+
+
 def _judged(
-    problem: Problem, solution: "Solution", task: PredictTask, total: int, lines: list[str]
+    problem: Problem, solution: Solution, task: PredictTask, total: int, lines: list[str]
 ) -> tuple[Found, list[Look]]:
     """What there is, and what it says of the mesh that it wants."""
     pairs = zip(problem.program.phases, solution.motions, strict=True)
@@ -470,24 +161,6 @@ def _judged(
     found = Found(problem, solution, errors, False, total, lines, passings)
     is_fine = found.worst <= task.tolerance and not any(one.passed.any() for one in looks)
     return found._replace(is_fine=is_fine), looks
-
-
-def _is_same(costs: Sequence[float], tolerance: float) -> bool:
-    """Whether the last mesh changed the cost by less than matters, wherever inputs change."""
-    if len(costs) < 2:
-        return False
-    return abs(costs[-1] - costs[-2]) <= SAVED * tolerance * abs(costs[-1])
-
-
-def mesh_line(round_: int, solution: "Solution", worst: float) -> str:
-    """What is said of a mesh."""
-    intervals = sum(motion.mesh.intervals for motion in solution.motions)
-    points = sum(int(motion.mesh.degrees.sum()) for motion in solution.motions)
-    solved = solution.solved
-    return (
-        f"mesh {round_ + 1}: {intervals} intervals, {points} points, {solved.iterations} "
-        f"iterations, cost {solved.cost:.12g}, error between nodes {worst:.2g}"
-    )
 
 
 def error_of(phase: Any, motion: PhaseMotion, p: Array) -> Array:
@@ -512,6 +185,24 @@ def moved(motion: PhaseMotion, mesh: Mesh) -> PhaseMotion:
     return PhaseMotion(mesh, motion.begin, motion.duration, nodes, points, motion.bases)
 
 
+def mesh_line(round_: int, solution: Solution, worst: float) -> str:
+    """What is said of a mesh."""
+    intervals = sum(motion.mesh.intervals for motion in solution.motions)
+    points = sum(int(motion.mesh.degrees.sum()) for motion in solution.motions)
+    solved = solution.solved
+    return (
+        f"mesh {round_ + 1}: {intervals} intervals, {points} points, {solved.iterations} "
+        f"iterations, cost {solved.cost:.12g}, error between nodes {worst:.2g}"
+    )
+
+
+def _is_same(costs: Sequence[float], tolerance: float) -> bool:
+    """Whether the last mesh changed the cost by less than matters, wherever inputs change."""
+    if len(costs) < 2:
+        return False
+    return abs(costs[-1] - costs[-2]) <= SAVED * tolerance * abs(costs[-1])
+
+
 class _Watcher:
     """Says on a terminal how far the solver is, and ends what only goes to and fro.
 
@@ -532,7 +223,7 @@ class _Watcher:
         self._recent = deque[tuple[float, float]](maxlen=_STAYING) if has_pieces else None
         self.is_staying = False
 
-    def __call__(self, iteration: int, progress: "Progress") -> bool:
+    def __call__(self, iteration: int, progress: Progress) -> bool:
         if self._recent is not None:
             self._recent.append(progress())
             costs, violations = np.array(self._recent).T
@@ -546,3 +237,293 @@ class _Watcher:
                 f"violation {violation:.1e}"
             )
         return self._interruption.is_asked or self.is_staying
+
+
+@contextmanager
+def interruptible() -> Iterator[Interruption]:
+    """Take SIGINT while the context lasts: Ctrl-C ends the search after an iteration.
+
+    In other threads than the main one nothing is taken.
+    """
+    found = Interruption()
+    if threading.current_thread() is not threading.main_thread():
+        yield found
+        return
+
+    def ask(number: int, frame: object) -> None:
+        found.is_asked = True
+
+    before = signal.signal(signal.SIGINT, ask)
+    try:
+        yield found
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+class Interruption:
+    """Whether somebody asked for the end.
+
+    Attributes:
+        is_asked: Whether it was.
+    """
+
+    def __init__(self) -> None:
+        self.is_asked = False
+
+
+def solved_from(
+    problem: Problem, begin: Beginning, task: PredictTask, tell: Tell, say: Say
+) -> tuple[Solution, int]:
+    """The solution from a guess, or the last iterate, and the iterations that all of it took.
+
+    From a solution on another mesh the solver looks nearby, then further away; from a guess it
+    looks for some time, then from the motion without inputs, then from the guess until the end.
+    Free bodies that go where they like begin with the motion without inputs.
+
+    Args:
+        problem: What is solved.
+        begin: What the program begins with.
+        task: The task.
+        tell: See `MotionProgram.solve`.
+        say: Is told where another guess is tried.
+    """
+    total = 0
+    for number, (one, most, word) in enumerate(_attempts(problem, begin, task)):
+        if number:
+            say(f"no way found from there: once more from {word}")
+        solution = problem.program.solve(
+            one.guesses,
+            one.parameters,
+            accuracy=task.accuracy,
+            cost_size=one.cost_size,
+            most=most,
+            is_near=one.is_near,
+            links=one.links,
+            has_kinks=problem.recording is not None,
+            tell=tell,
+        )
+        total += solution.solved.iterations
+        if solution.solved.status not in _LOST:
+            break
+    return solution, total
+
+
+class Beginning(NamedTuple):
+    """What a program begins with.
+
+    Attributes:
+        guesses: Of each phase.
+        parameters: Values of parameters.
+        links: Unknowns of what links phases; None for zeros.
+        cost_size: Usual size of the cost.
+        is_near: Whether that solves a program that is nearly this one.
+    """
+
+    guesses: list[PhaseMotion]
+    parameters: Array
+    links: Array | None = None
+    cost_size: float = 1.0
+    is_near: bool = False
+
+
+def _attempts(
+    problem: Problem, begin: Beginning, task: PredictTask
+) -> Iterator[tuple[Beginning, int, str]]:
+    """What is begun with, at most so many iterations, and what that is called."""
+    most = task.iterations
+    some = min(_PATIENCE, most)
+    if begin.is_near:
+        yield begin, some, ""
+        yield begin._replace(is_near=False), most, "a wider search on this mesh"
+        return
+    if most <= some or problem.recording is not None:
+        yield begin, most, ""
+        return
+    given, drifts = (begin, some, "the given guess"), _drifts(problem, task)
+    if not drifts:
+        yield given
+    by_itself = passive(problem)
+    if by_itself is not None:
+        yield begin._replace(guesses=by_itself), some, "the motion without inputs"
+    if drifts:
+        yield given
+    yield begin, most, "the given guess, for longer"
+
+
+def _drifts(problem: Problem, task: PredictTask) -> bool:
+    """Whether free bodies go where nothing but their motion says, so that no line leads there."""
+    if task.guess or task.guess_file is not None:
+        return False
+    phase = problem.program.phases[0]
+    bodies = {name for base in problem.scene.robot.bases for name in body_names(base.name)}
+    found = (one.name for name in phase.problem.end for one in phase.quantities.find(name))
+    return bool(bodies) and bodies.isdisjoint(found)
+
+
+def passive(problem: Problem) -> list[PhaseMotion] | None:
+    """The motion without inputs from the beginning of the guess: its equations hold exactly.
+
+    Args:
+        problem: Of one phase of a scene without phases and recording; else there is None.
+    """
+    if len(problem.guesses) > 1 or problem.scene.phases or problem.recording is not None:
+        return None
+    (guess,) = problem.guesses
+    idle = np.array(problem.modes[0].system.loads.idle, dtype=np.float64)
+    points = {**guess.points, "u": np.tile(idle, (len(guess.points["u"]), 1))}
+    still = guess._replace(points=points)
+    simulation = simulation_of(problem.scene, [still], _ACCURATE, _SAMPLES)
+    first = State(guess.begin, *(guess.nodes[key][0] for key in "qvz"))
+    x = simulation.system.expand(first)
+    x = x._replace(mode=problem.modes[0].mode) if problem.modes[0].mode else x
+    states = [simulation.system.reduce(x)]
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):
+            states += [simulation.system.reduce(at) for at in simulation.run(x, guess.duration)]
+    except MbdError:
+        return None
+    sampled = {key: np.array([getattr(one, key) for one in states]) for key in "qvz"}
+    if not all(np.abs(one).max(initial=0.0) < _LARGEST for one in sampled.values()):
+        return None
+    times = np.array([one.t for one in states])
+    return [_written(still, (times - guess.begin) / guess.duration, sampled)]
+
+
+def _written(motion: PhaseMotion, shares: Array, sampled: dict[str, Array]) -> PhaseMotion:
+    nodes, points = dict(motion.nodes), dict(motion.points)
+    for at, found in ((motion.mesh.knots, nodes), (motion.mesh.shares, points)):
+        for key, values in sampled.items():
+            columns = [np.interp(at, shares, one) for one in values.T]
+            found[key] = np.array(columns).reshape(-1, len(at)).T
+    for q, _ in motion.bases:
+        for found in (nodes, points):
+            turn = found["q"][:, q + 3 : q + 7]
+            turn /= np.linalg.norm(turn, axis=1, keepdims=True)
+    points["d"] = steps_of(motion.mesh, nodes["q"], points["q"], motion.bases)
+    return motion._replace(nodes=nodes, points=points)
+
+
+def look_at(problem: Problem, number: int, solution: Solution, task: PredictTask) -> Look:
+    """Look at the bounds of a phase.
+
+    Bounds of states are passed too far where that is more than `accepted_passing`, or where it
+    saves more than a share of the tolerance of the cost, by the multipliers of the bounds.
+    """
+    from mbd_ros.optimal_control.active_bounds import begins_of, path_forces, status_of
+
+    phase, motion = problem.program.phases[number], solution.motions[number]
+    unknowns, solved = solution.unknowns[number], solution.solved
+    status, nu = status_of(phase, number, solution), motion.points["u"].shape[1]
+    knots = changes(motion.mesh, status, motion.points["u"])
+    shares, values = looked_at(motion)
+    held = phase.held_between(unknowns, shares, values, solution.parameters)
+    off = beyond_bounds(*held)
+    places = np.hstack([unknowns.points[letter] for letter in "qvz"])
+    sizes = 1.0 + np.abs(solved.x[places]).max(axis=0, initial=0.0)
+    sizes = np.append(sizes, 1.0 + np.abs(held[0][:, len(sizes) :]).max(axis=0, initial=0.0))
+    pulls = np.hstack((np.abs(solved.bound_forces[places]), path_forces(solution, number)))
+    pulls = np.add.reduceat(pulls, motion.mesh.first_points[:-1], axis=0)
+    saved = pulls * off / (abs(solved.cost) or 1.0)
+    passed = (off / sizes > accepted_passing(task)) | _saving(saved, SAVED * task.tolerance)
+    return Look(
+        knots,
+        status[:, nu:],
+        begins_of(phase, number, solution),
+        passed,
+        _passings(phase, motion, held, sizes, saved, task),
+        is_settled(motion.mesh, knots),
+    )
+
+
+class Look(NamedTuple):
+    """What a solution says of the mesh that it wants.
+
+    Attributes:
+        knots: Where bounds of inputs change, as shares of the duration.
+        status: Of bounds of states at the points.
+        begins: The same at the first node of each interval.
+        passed: Which intervals pass which bounds of states too far between their points, (n, k).
+        passings: Bounds that are passed at all, the worst one first.
+        is_settled: Whether every change of inputs is at a node that could move.
+    """
+
+    knots: list[float]
+    status: Any
+    begins: Any
+    passed: Any
+    passings: list[Passing]
+    is_settled: bool
+
+
+class Passing(NamedTuple):
+    """A bound that is passed between nodes.
+
+    Attributes:
+        name: Of the quantity.
+        side: -1 for the lower bound, 1 for the upper one.
+        bound: The bound.
+        time: Where it is passed furthest [s].
+        by: How far there.
+        relative: The same, relative to 1 + the largest value.
+        saved: What all passing of this bound saves, of the cost.
+        severity: The same, relative to what is accepted: too far above 1.
+    """
+
+    name: str
+    side: int
+    bound: float
+    time: float
+    by: float
+    relative: float
+    saved: float
+    severity: float
+
+
+def accepted_passing(task: PredictTask) -> float:
+    """How far a bound may be passed between nodes, relative to 1 + the largest value.
+
+    Next to a bound whose multiplier is nearly zero a solution wavers by the root of the accuracy
+    of the solver, on any mesh. What it saves is held against the tolerance apart from this.
+    """
+    return max(task.tolerance, math.sqrt(task.accuracy))
+
+
+def _saving(saved: Array, most: float) -> Any:
+    """Which bounds save too much in which intervals, shape (n, k)."""
+    of_each = saved.sum(axis=1, keepdims=True)
+    if of_each.sum() <= most:
+        return np.zeros(saved.shape, dtype=np.bool_)
+    rising = np.argsort(of_each[:, 0])
+    is_left = np.cumsum(of_each[rising, 0]) <= most / 2.0
+    matters = saved > _PART * saved.max(axis=1, keepdims=True)
+    matters[rising[is_left]] = False
+    return matters
+
+
+def _passings(
+    phase: Any, motion: Any, held: Any, sizes: Array, saved: Array, task: PredictTask
+) -> list[Passing]:
+    """Bounds that are passed, the worst one first."""
+    values, lower, upper = held
+    off = np.maximum(np.maximum(lower - values, values - upper), 0.0)
+    shares, _ = looked_at(motion)
+    found = list[Passing]()
+    for k, name in enumerate(phase.names_held()):
+        i = int(off[:, k].argmax())
+        if off[i, k] > 0.0:
+            side = 1 if values[i, k] > upper[k] else -1
+            bound = float(upper[k] if side > 0 else lower[k])
+            time = float(motion.begin + motion.duration * shares[i])
+            by, cost = float(off[i, k]), float(saved[:, k].sum())
+            relative = by / float(sizes[k])
+            severity = max(relative / accepted_passing(task), cost / (SAVED * task.tolerance))
+            found.append(Passing(name, side, bound, time, by, relative, cost, severity))
+    return sorted(found, key=lambda one: -one.severity)
+
+
+def next_mesh(mesh: Mesh, errors: Array, look: Look, tolerance: float) -> Mesh:
+    """A mesh on which errors are smaller."""
+    if look.passed.any():
+        wanted = look.passed | (errors > tolerance)[:, None]
+        return bracketed(mesh, look.status, look.begins, wanted)
+    return with_knots(refined(mesh, errors, tolerance), look.knots)

@@ -1,5 +1,7 @@
 """Tables of a predicted motion, and what holds it up that no joint could."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -20,13 +22,10 @@ if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_phase import MotionPhase
     from mbd_ros.optimal_control.motion_program import Solution
 
-
-# ---- tables -----------------------------------------------------------------------------------
-# Tables of a predicted motion.
-
-
 GOALS, NODES, CONTINUATION, STARTS = "goals", "nodes", "continuation", "starts"
 SHOWN = 240  # intervals of the samples of a phase
+_PLANAR = 3  # joints to the ground, from which on a body moves freely
+_NO_MASS = 1.0e-6  # of all
 
 
 def motion_table(
@@ -54,6 +53,26 @@ def motion_table(
     return Table([*table.columns, *more])
 
 
+def _states(mode: PhaseMode, motion: PhaseMotion) -> Iterator[State]:
+    """States of all joints, both ends of the phase included."""
+    shares = np.linspace(0.0, 1.0, SHOWN + 1)
+    values = motion.at(shares[:-1])
+    rows = {key: np.vstack((values[key], motion.nodes[key][-1])) for key in "qvz"}
+    for i, t in enumerate(motion.begin + motion.duration * shares):
+        y = State(float(t), *(rows[key][i] for key in "qvz"), mode.mode)
+        x = mode.system.expand(y)
+        yield x if mode.phased is None else mode.phased.outward(mode.number, x)
+
+
+def _states_alone(simulation: Simulation, states: Sequence[State]) -> Table:
+    joints = simulation.system.robot.joints
+    q, v = (np.array([getattr(x, key) for x in states]) for key in "qv")
+    times = Column(TIME, np.array([x.t for x in states]), "s")
+    positions = joint_columns(joints, "position", q[:, [joint.q for joint in joints]])
+    velocities = joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]])
+    return Table([times, *positions, *velocities])
+
+
 def asked_columns(found: Found) -> list[Column]:
     """Quantities of parts, sensors and joints that the task names, at the times of the motion."""
     from mbd_ros.optimal_control.limits import PathBounds
@@ -71,9 +90,7 @@ def asked_columns(found: Found) -> list[Column]:
     return [Column(*one) for one in zip(names, columns, units, strict=True)]
 
 
-def _letters(
-    phase: "MotionPhase", motion: PhaseMotion, p: Array
-) -> tuple[Array, dict[str, Array]]:
+def _letters(phase: MotionPhase, motion: PhaseMotion, p: Array) -> tuple[Array, dict[str, Array]]:
     """Times of the samples of a phase, and all letters there, forces as the equations say."""
     shares = np.linspace(0.0, 1.0, SHOWN + 1)
     values = motion.at(shares)
@@ -81,26 +98,6 @@ def _letters(
         values[key][-1] = motion.nodes[key][-1]
     times = motion.begin + motion.duration * shares
     return times, values | phase.equations.solved(values, times, p)
-
-
-def _states_alone(simulation: Simulation, states: Sequence[State]) -> Table:
-    joints = simulation.system.robot.joints
-    q, v = (np.array([getattr(x, key) for x in states]) for key in "qv")
-    times = Column(TIME, np.array([x.t for x in states]), "s")
-    positions = joint_columns(joints, "position", q[:, [joint.q for joint in joints]])
-    velocities = joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]])
-    return Table([times, *positions, *velocities])
-
-
-def _states(mode: PhaseMode, motion: PhaseMotion) -> Iterator[State]:
-    """States of all joints, both ends of the phase included."""
-    shares = np.linspace(0.0, 1.0, SHOWN + 1)
-    values = motion.at(shares[:-1])
-    rows = {key: np.vstack((values[key], motion.nodes[key][-1])) for key in "qvz"}
-    for i, t in enumerate(motion.begin + motion.duration * shares):
-        y = State(float(t), *(rows[key][i] for key in "qvz"), mode.mode)
-        x = mode.system.expand(y)
-        yield x if mode.phased is None else mode.phased.outward(mode.number, x)
 
 
 def goal_table(found: Found) -> Table:
@@ -120,7 +117,7 @@ def goal_table(found: Found) -> Table:
     )
 
 
-def goal_values(solution: "Solution") -> dict[str, float]:
+def goal_values(solution: Solution) -> dict[str, float]:
     """Name of a goal -> what it adds to the cost."""
     found = dict[str, float]()
     for block in solution.program.blocks:
@@ -149,14 +146,14 @@ def node_table(found: Found) -> Table:
     return Table([Column(name, np.concatenate([p[name] for p in parts])) for name in names])
 
 
-def start_table(starts: "Sequence[Start]") -> Table:
+def start_table(starts: Sequence[Start]) -> Table:
     """A row a start: its number, cost, whether it is a solution, iterations, error."""
     names = ("start", "cost", "converged", "iterations", "error")
     values = np.array(starts, dtype=np.float64).T
     return Table([Column(name, one) for name, one in zip(names, values, strict=True)])
 
 
-def continuation_table(steps: "Sequence[Step]") -> Table:
+def continuation_table(steps: Sequence[Step]) -> Table:
     """A row a value: the numbers, cost, duration, error between nodes."""
     names = list(steps[0].numbers)
     durations = [sum(one.duration for one in step.found.solution.motions) for step in steps]
@@ -168,38 +165,6 @@ def continuation_table(steps: "Sequence[Step]") -> Table:
             Column("error", np.array([step.found.worst for step in steps])),
         ]
     )
-
-
-# ---- residuals --------------------------------------------------------------------------------
-# What holds a tracked motion up that no joint of a body could: forces on its base.
-
-
-_PLANAR = 3  # joints to the ground, from which on a body moves freely
-_NO_MASS = 1.0e-6  # of all
-
-
-class Residual(NamedTuple):
-    """A force on a base.
-
-    Attributes:
-        name: Of its input.
-        unit: N or N·m.
-        rms: Over all points.
-        largest: The largest size.
-    """
-
-    name: str
-    unit: str
-    rms: float
-    largest: float
-
-    @property
-    def line(self) -> str:
-        """For people."""
-        return (
-            f"  residual {self.name}: rms {self.rms:.3g} {self.unit}, "
-            f"at most {self.largest:.3g} {self.unit}"
-        )
 
 
 def residuals_of(found: Found) -> Iterator[Residual]:
@@ -224,6 +189,30 @@ def residuals_of(found: Found) -> Iterator[Residual]:
 def _residual(name: str, unit: str, values: np.ndarray) -> Residual:
     rms = float(np.sqrt(np.mean(values**2)))
     return Residual(name, unit, rms, float(np.abs(values).max(initial=0.0)))
+
+
+class Residual(NamedTuple):
+    """A force on a base.
+
+    Attributes:
+        name: Of its input.
+        unit: N or N·m.
+        rms: Over all points.
+        largest: The largest size.
+    """
+
+    name: str
+    unit: str
+    rms: float
+    largest: float
+
+    @property
+    def line(self) -> str:
+        """For people."""
+        return (
+            f"  residual {self.name}: rms {self.rms:.3g} {self.unit}, "
+            f"at most {self.largest:.3g} {self.unit}"
+        )
 
 
 def root_joints(robot: Robot) -> list[str]:
