@@ -1,309 +1,55 @@
-"""A scene and a task for it, and chains in blocks: a block is a function of its number."""
+"""Chains in blocks: a block is a function of scene, task and its number, wherever it is done.
 
-from collections.abc import Callable, Iterable
+Checkpoints say where the chains of a block stand: from there it goes on with the same bits.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import exp, sqrt
+from pathlib import Path
 from typing import Any, NamedTuple
+from zipfile import BadZipFile
 
 import numpy as np
 
 from mbd_ros.core.rows.constraint_rows import independent
 from mbd_ros.core.state import Array
-from mbd_ros.errors import SceneError
-from mbd_ros.features.sampling import observables
-from mbd_ros.features.sampling.components import random_starts, stream
+from mbd_ros.errors import DataError, SceneError
+from mbd_ros.features.sampling.components import random_starts
 from mbd_ros.features.sampling.ensemble import (
     Ensemble,
     Langevin,
     Metropolis,
     Walkers,
     kinetic_after_step,
+    stream,
 )
 from mbd_ros.features.sampling.mean_force import instant
 from mbd_ros.features.sampling.observables import Observable, coordinate
-from mbd_ros.features.sampling.particle_space import ParticleSpace
-from mbd_ros.features.sampling.sampled_scene import SampledScene, sampled_scene
+from mbd_ros.features.sampling.sampled_scene import (
+    DRIVEN,
+    SampledScene,
+    quantity,
+    row_swept,
+    sampled_scene,
+)
 from mbd_ros.features.sampling.space import HeldSpace, WeightedSpace
 from mbd_ros.features.sampling.task import SampleTask
+from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.progress import progress
-from mbd_ros.methods.particles.rigid_bonds import DistanceRow, PointRow
-from mbd_ros.scene.schema.nearest import nearest
 
-# ---- chains -----------------------------------------------------------------------------------
-# Chains in blocks: a block is a function of its number, whoever does it and wherever.
-
-
-METHODS = ("metropolis", "langevin")
+_KEYS = ("q", "v", "sweeps", "dt")  # of a checkpoint in a file, beside the number of a block
 _LARGEST, _FEWEST = 256, 2  # chains of a block; blocks of a run with few chains
 _WISHED = 0.9  # acceptance
 _FIRST, _USUAL = 0.1, 0.05  # steps, in times a particle of kT takes for the scale of the space
 _LOST = 0.025  # friction times the step
 _QUICK, _FADING = 1.0, 0.6  # how a step is changed while it is looked for
-
-
-class Plan(NamedTuple):
-    """How an ensemble is sampled.
-
-    Attributes:
-        method: One of `METHODS`.
-        chains: How many.
-        samples: Samples a chain.
-        warmup: Samples a chain before them, which are not kept.
-        steps: Steps between samples.
-        dt: Step; None: chosen, by `metropolis` so that most proposals are accepted.
-        friction: Rate of `langevin` at which velocities are forgotten; None: chosen.
-        seed: Of the random numbers, >= 0.
-    """
-
-    method: str = "metropolis"
-    chains: int = 64
-    samples: int = 1000
-    warmup: int = 200
-    steps: int = 5
-    dt: float | None = None
-    friction: float | None = None
-    seed: int = 0
-
-
-class Checkpoint(NamedTuple):
-    """Where a block of chains stands; from here it goes on with the same bits.
-
-    Attributes:
-        q: Shape (size, chains).
-        v: Shape (size, chains).
-        sweeps: How many were done.
-        dt: The step that is taken.
-    """
-
-    q: Array
-    v: Array
-    sweeps: int
-    dt: float
-
-
-class Sampled(NamedTuple):
-    """What a block of chains gave.
-
-    Attributes:
-        values: Shape (quantities, chains, samples).
-        accepted: Share of proposals, shape (chains,).
-        end: Where it stands.
-    """
-
-    values: Array
-    accepted: Array
-    end: Checkpoint
-
-
 Measure = Callable[[Walkers], Array]  # shape (quantities, chains)
-
-
-def blocks_of(chains: int) -> list[slice]:
-    """The chains of each block; depends on nothing but their number."""
-    size = min(max(-(-chains // _FEWEST), 1), _LARGEST)
-    return [slice(i, min(i + size, chains)) for i in range(0, chains, size)]
-
-
-def usual_step(ensemble: Ensemble) -> float:
-    """A step that is short beside the time in which a particle of kT moves by the scale."""
-    lightest = float(ensemble.space.mass.min())
-    return _USUAL * ensemble.space.scale * sqrt(lightest / ensemble.kT)
-
-
-def method_of(ensemble: Ensemble, plan: Plan, dt: float) -> Langevin | Metropolis:
-    """The method of a plan with a step."""
-    if plan.method == "metropolis":
-        return Metropolis(ensemble, dt)
-    friction = _LOST / dt if plan.friction is None else plan.friction
-    return Langevin(ensemble, dt, friction)
-
-
-def begun(ensemble: Ensemble, plan: Plan, number: int, q: Array) -> Checkpoint:
-    """A block of chains after its warm-up.
-
-    Args:
-        ensemble: The ensemble.
-        plan: How it is sampled.
-        number: Of the block.
-        q: Starts on the rows, shape (size, chains of the block).
-    """
-    is_tuned = plan.method == "metropolis" and plan.dt is None
-    dt = usual_step(ensemble) * (_FIRST / _USUAL if is_tuned else 1.0)
-    method = method_of(ensemble, plan, dt if plan.dt is None else plan.dt)
-    at = ensemble.at(q, np.zeros(q.shape))
-    at = at._replace(v=ensemble.drawn(stream(plan.seed, number, 0), at.places, q.shape[1]))
-    steps = []
-    for k in range(plan.warmup):
-        at, accepted = method.sweep(at, stream(plan.seed, number, k + 1), plan.steps)
-        if is_tuned:
-            steps.append(method.dt)
-            method.dt *= exp(_QUICK * (accepted.mean() - _WISHED) / (1.0 + k) ** _FADING)
-    if len(steps) >= 2:
-        method.dt = exp(np.log(steps[len(steps) // 2 :]).mean())
-    return Checkpoint(at.q, at.v, plan.warmup + 1, method.dt)
-
-
-def gone_on(
-    ensemble: Ensemble,
-    plan: Plan,
-    number: int,
-    start: Checkpoint,
-    measure: Measure,
-    watch: Callable[[range], Iterable[int]] = iter,
-) -> Sampled:
-    """Samples of a block of chains from where it stands.
-
-    Args:
-        ensemble: The ensemble.
-        plan: How it is sampled.
-        number: Of the block.
-        start: Where it stands.
-        measure: What is kept of a sample.
-        watch: Passes the numbers of samples on, for people.
-    """
-    method = method_of(ensemble, plan, start.dt)
-    at, values = ensemble.at(start.q, start.v), []
-    share = np.zeros(start.q.shape[1])
-    for k in watch(range(start.sweeps, start.sweeps + plan.samples)):
-        at, accepted = method.sweep(at, stream(plan.seed, number, k), plan.steps)
-        values.append(measure(at))
-        share += accepted
-    end = Checkpoint(at.q, at.v, start.sweeps + plan.samples, start.dt)
-    return Sampled(np.stack(values, axis=2), share / plan.samples, end)
-
-
-# ---- chain setup ------------------------------------------------------------------------------
-# A scene and a task for it: what a block of chains needs.
-
-
-# Words for quantities: `distance a b`, `cosine a b c`, a joint.
-
-_POINTS = {"distance": 2, "cosine": 3, "angle": 3, "dihedral": 4, "quadratic": 1}
-_FORMS = (
-    "distance A B, cosine A B C, angle A B C, dihedral A B C D, quadratic A wx wy wz, "
-    "A.x of particles"
-)
-DRIVEN = ("distance", "cosine", "angle", "quadratic")  # forces are averaged along these
-
-
-def quantity(text: str, scene: SampledScene, where: str, name: str = "") -> Observable:
-    """The quantity of some words.
-
-    Args:
-        text: The words.
-        scene: What is sampled.
-        where: File and key, for the messages.
-        name: As columns have it; by default that of the words.
-
-    Raises:
-        SceneError: Names what is wrong and what is accepted.
-    """
-    words = text.split()
-    if len(words) == 1:
-        return _coordinate(words[0], scene, where, name)
-    kind, rest = words[0] if words else "", words[1:]
-    if not scene.points or kind not in _POINTS:
-        accepted = _FORMS if scene.points else ", ".join(scene.space.names)
-        raise SceneError(f"{where}: '{text}' is no quantity, accepted: {accepted}")
-    count = _POINTS[kind]
-    numbers = rest[count:]
-    if len(rest) < count or len(numbers) != (3 if kind == "quadratic" else 0):
-        raise SceneError(f"{where}: '{text}', accepted: {_FORMS}")
-    points = [_point(word, scene, where) for word in rest[:count]]
-    if len(set(points)) < count:
-        raise SceneError(f"{where}: '{text}' names a particle twice")
-    label, unit = name or "_".join([kind, *rest[:count]]), scene.length
-    if kind == "distance":
-        return observables.distance(label, unit, *points)
-    if kind == "cosine":
-        return observables.cosine(label, *points)
-    if kind == "angle":
-        return observables.angle(label, *points)
-    if kind == "dihedral":
-        return observables.dihedral(label, points)
-    weights = [_number(word, text, where) for word in numbers]
-    return observables.quadratic(label, f"{unit}^2", points[0], weights)
-
-
-def _coordinate(word: str, scene: SampledScene, where: str, name: str) -> Observable:
-    names = list(scene.space.names)
-    if word not in names:
-        close = ", ".join(nearest(word, names) or names[:6])
-        raise SceneError(f"{where}: '{word}' is no quantity, the nearest: {close}")
-    if scene.points:
-        return observables.coordinate(name or word, scene.length, names.index(word))
-    return scene.defaults[names.index(word)]._replace(name=name or f"{word}.position")
-
-
-def _point(word: str, scene: SampledScene, where: str) -> int:
-    if word not in scene.points:
-        close = ", ".join(nearest(word, list(scene.points)) or scene.points[:6])
-        raise SceneError(f"{where}: there is no particle '{word}', the nearest: {close}")
-    return list(scene.points).index(word)
-
-
-def _number(word: str, text: str, where: str) -> float:
-    try:
-        found = float(word)
-    except ValueError:
-        found = float("nan")
-    if not abs(found) < 1.0e30:
-        raise SceneError(f"{where}: '{text}': '{word}' is no number")
-    return found
-
-
-# A row of particles as the coordinate along which forces are averaged.
-
-
-def row_swept(
-    space: ParticleSpace, name: str, unit: str
-) -> tuple[Observable, ParticleSpace] | None:
-    """What a row holds, and the space without that row; None where no row has the name.
-
-    Args:
-        space: The space.
-        name: Of a row of a molecule of which there is one.
-        unit: Word for its lengths.
-    """
-    first = 0
-    for k, kind in enumerate(space.kinds):
-        for row in kind.rows:
-            if kind.count == 1 and row.name == name:
-                rest = replace(kind, rows=tuple(one for one in kind.rows if one is not row))
-                kinds = [*space.kinds[:k], rest, *space.kinds[k + 1 :]]
-                return _held(row, first, unit), ParticleSpace(kinds, space.pair_forces)
-        first += kind.size
-    return None
-
-
-def _held(row: PointRow, first: int, unit: str) -> Observable:
-    if isinstance(row, DistanceRow):
-        return observables.distance(row.name, unit, first + row.i, first + row.j)
-    a, n, c = (part[:, None] for part in (row.squares, row.normal, row.center))
-
-    def of(x: Array) -> Array:
-        level: Array = ((a * (x - c) + n) * (x - c)).sum(axis=0)
-        return level
-
-    return Observable(row.name, "", observables.point(first + row.i), of)
-
-
 _STEPS_OF_POINTS, _STEPS_OF_JOINTS = 5, 20  # from sample to sample
 _WAY = 40  # steps in which a held quantity is brought to its value
-
-
-class Order(NamedTuple):
-    """A block of chains that is asked for.
-
-    Attributes:
-        number: Of the block among those of its value.
-        level: Value of the held quantity; None without one.
-        start: Where it goes on; None begins it.
-    """
-
-    number: int
-    level: float | None = None
-    start: Checkpoint | None = None
 
 
 class Asked:
@@ -480,3 +226,229 @@ class Asked:
 
 def _shown(samples: range) -> Iterable[int]:
     return progress(samples, len(samples), "sampling")
+
+
+class Order(NamedTuple):
+    """A block of chains that is asked for.
+
+    Attributes:
+        number: Of the block among those of its value.
+        level: Value of the held quantity; None without one.
+        start: Where it goes on; None begins it.
+    """
+
+    number: int
+    level: float | None = None
+    start: Checkpoint | None = None
+
+
+class Plan(NamedTuple):
+    """How an ensemble is sampled.
+
+    Attributes:
+        method: `metropolis` or `langevin`.
+        chains: How many.
+        samples: Samples a chain.
+        warmup: Samples a chain before them, which are not kept.
+        steps: Steps between samples.
+        dt: Step; None: chosen, by `metropolis` so that most proposals are accepted.
+        friction: Rate of `langevin` at which velocities are forgotten; None: chosen.
+        seed: Of the random numbers, >= 0.
+    """
+
+    method: str = "metropolis"
+    chains: int = 64
+    samples: int = 1000
+    warmup: int = 200
+    steps: int = 5
+    dt: float | None = None
+    friction: float | None = None
+    seed: int = 0
+
+
+def blocks_of(chains: int) -> list[slice]:
+    """The chains of each block; depends on nothing but their number."""
+    size = min(max(-(-chains // _FEWEST), 1), _LARGEST)
+    return [slice(i, min(i + size, chains)) for i in range(0, chains, size)]
+
+
+def begun(ensemble: Ensemble, plan: Plan, number: int, q: Array) -> Checkpoint:
+    """A block of chains after its warm-up.
+
+    Args:
+        ensemble: The ensemble.
+        plan: How it is sampled.
+        number: Of the block.
+        q: Starts on the rows, shape (size, chains of the block).
+    """
+    is_tuned = plan.method == "metropolis" and plan.dt is None
+    dt = usual_step(ensemble) * (_FIRST / _USUAL if is_tuned else 1.0)
+    method = method_of(ensemble, plan, dt if plan.dt is None else plan.dt)
+    at = ensemble.at(q, np.zeros(q.shape))
+    at = at._replace(v=ensemble.drawn(stream(plan.seed, number, 0), at.places, q.shape[1]))
+    steps = []
+    for k in range(plan.warmup):
+        at, accepted = method.sweep(at, stream(plan.seed, number, k + 1), plan.steps)
+        if is_tuned:
+            steps.append(method.dt)
+            method.dt *= exp(_QUICK * (accepted.mean() - _WISHED) / (1.0 + k) ** _FADING)
+    if len(steps) >= 2:
+        method.dt = exp(np.log(steps[len(steps) // 2 :]).mean())
+    return Checkpoint(at.q, at.v, plan.warmup + 1, method.dt)
+
+
+def gone_on(
+    ensemble: Ensemble,
+    plan: Plan,
+    number: int,
+    start: Checkpoint,
+    measure: Measure,
+    watch: Callable[[range], Iterable[int]] = iter,
+) -> Sampled:
+    """Samples of a block of chains from where it stands.
+
+    Args:
+        ensemble: The ensemble.
+        plan: How it is sampled.
+        number: Of the block.
+        start: Where it stands.
+        measure: What is kept of a sample.
+        watch: Passes the numbers of samples on, for people.
+    """
+    method = method_of(ensemble, plan, start.dt)
+    at, values = ensemble.at(start.q, start.v), []
+    share = np.zeros(start.q.shape[1])
+    for k in watch(range(start.sweeps, start.sweeps + plan.samples)):
+        at, accepted = method.sweep(at, stream(plan.seed, number, k), plan.steps)
+        values.append(measure(at))
+        share += accepted
+    end = Checkpoint(at.q, at.v, start.sweeps + plan.samples, start.dt)
+    return Sampled(np.stack(values, axis=2), share / plan.samples, end)
+
+
+def method_of(ensemble: Ensemble, plan: Plan, dt: float) -> Langevin | Metropolis:
+    """The method of a plan with a step."""
+    if plan.method == "metropolis":
+        return Metropolis(ensemble, dt)
+    friction = _LOST / dt if plan.friction is None else plan.friction
+    return Langevin(ensemble, dt, friction)
+
+
+def usual_step(ensemble: Ensemble) -> float:
+    """A step that is short beside the time in which a particle of kT moves by the scale."""
+    lightest = float(ensemble.space.mass.min())
+    return _USUAL * ensemble.space.scale * sqrt(lightest / ensemble.kT)
+
+
+class Sampled(NamedTuple):
+    """What a block of chains gave.
+
+    Attributes:
+        values: Shape (quantities, chains, samples).
+        accepted: Share of proposals, shape (chains,).
+        end: Where it stands.
+    """
+
+    values: Array
+    accepted: Array
+    end: Checkpoint
+
+
+class Checkpoint(NamedTuple):
+    """Where a block of chains stands; from here it goes on with the same bits.
+
+    Attributes:
+        q: Shape (size, chains).
+        v: Shape (size, chains).
+        sweeps: How many were done.
+        dt: The step that is taken.
+    """
+
+    q: Array
+    v: Array
+    sweeps: int
+    dt: float
+
+
+def write_checkpoint(path: Path, blocks: Sequence[Checkpoint]) -> None:
+    """Write where all blocks of a run stand, as a .npz.
+
+    Raises:
+        DataError: A place that cannot be written to.
+    """
+    arrays = {
+        f"{key}{i}": np.asarray(value)
+        for i, block in enumerate(blocks)
+        for key, value in zip(_KEYS, block, strict=True)
+    }
+    with replacing(path) as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkpoint]:
+    """Where all blocks of a run stand.
+
+    Args:
+        path: The file.
+        sizes: Coordinates and chains of each block of the run that goes on.
+
+    Raises:
+        DataError: It cannot be read, or is that of another scene or another number of chains.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = {key: file[key] for key in file.files}
+    except (OSError, ValueError, EOFError, BadZipFile) as error:
+        raise DataError(f"{path}: is no checkpoint of sample ({error})") from error
+    blocks = []
+    for i, size in enumerate(sizes):
+        if any(f"{key}{i}" not in found for key in _KEYS):
+            raise DataError(f"{path}: has no block {i + 1} of {len(sizes)}: another run's")
+        q, v, sweeps, dt = (found[f"{key}{i}"] for key in _KEYS)
+        if q.shape != size or v.shape != size:
+            raise DataError(
+                f"{path}: {q.shape[0]} coordinates of {q.shape[-1]} chains, this run has "
+                f"{size[0]} of {size[1]}"
+            )
+        if not (np.isfinite(q).all() and np.isfinite(v).all() and float(dt) > 0.0):
+            raise DataError(f"{path}: holds numbers that are not finite")
+        blocks.append(Checkpoint(q.astype(float), v.astype(float), int(sweeps), float(dt)))
+    if len(found) != len(_KEYS) * len(sizes):
+        raise DataError(f"{path}: is of a run with more chains")
+    return blocks
+
+
+def packed_block(done: Sampled) -> dict[str, Any]:
+    """What a block of chains gave, as JSON holds it to the bit."""
+    return {
+        "values": _packed(done.values),
+        "accepted": _packed(done.accepted),
+        "end": packed_checkpoint(done.end),
+    }
+
+
+def _packed(values: Array) -> list[Any]:
+    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
+    return [list(values.shape), base64.b64encode(data).decode()]
+
+
+def unpacked_block(value: Mapping[str, Any]) -> Sampled:
+    """The same back."""
+    values, accepted = (_unpacked(value[key]) for key in ("values", "accepted"))
+    return Sampled(values, accepted, unpacked_checkpoint(value["end"]))
+
+
+def _unpacked(packed: Sequence[Any]) -> Array:
+    shape, data = packed
+    return np.frombuffer(base64.b64decode(data), dtype="<f8").reshape(shape).copy()
+
+
+def packed_checkpoint(one: Checkpoint) -> list[Any]:
+    """Where a block of chains stands, as JSON holds it to the bit."""
+    return [_packed(one.q), _packed(one.v), one.sweeps, one.dt]
+
+
+def unpacked_checkpoint(listed: Sequence[Any]) -> Checkpoint:
+    """The same back."""
+    q, v, sweeps, dt = listed
+    return Checkpoint(_unpacked(q), _unpacked(v), sweeps, dt)

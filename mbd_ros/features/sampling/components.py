@@ -1,5 +1,7 @@
 """Parts of a manifold that no motion along the rows joins."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -7,167 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.sampling.ensemble import Ensemble, Metropolis
+from mbd_ros.features.sampling.ensemble import Ensemble, Metropolis, stream
 from mbd_ros.features.sampling.observables import Observable
 from mbd_ros.features.sampling.space import Marks
 
-# ---- feature walk -----------------------------------------------------------------------------
-# Walks along rows towards the features of another configuration.
-
-
-_FEATURE_WALK_STEPS = 200
-_LONGEST = 0.02  # of the scale: change of a coordinate in a step
+_WALK_STEPS = 200  # of a walk, at most
+_LONGEST = 0.02  # of the scale: change of a coordinate in a step of a walk
 _STRAIGHT = 0.2  # of a step: how far the rows may bend it; more is a jump to another branch
 _WEAK = 1.0e-6  # singular values beside the largest that count as none
 _ARRIVED = 0.03  # of the spread of features
-
-
-def arrives(
-    ensemble: Ensemble,
-    start: Array,
-    end: Array,
-    features: Sequence[Observable],
-    spread: Array,
-) -> Marks:
-    """Which walks come to the features of their ends, shape (walks,).
-
-    Steps are short, end on the rows and never cross a wall, so that one that arrives is a motion.
-
-    Args:
-        ensemble: Whose rows and walls count.
-        start: Configurations, shape (size, walks).
-        end: Configurations with the features that are looked for.
-        features: Quantities.
-        spread: Their usual size, > 0.
-    """
-    wanted = np.array([one.value(end) for one in features]) / spread[:, None]
-    q, longest = start, _LONGEST * ensemble.space.scale
-    there, walks = np.zeros(start.shape[1], dtype=np.bool_), np.arange(start.shape[1])
-    with np.errstate(all="ignore"):
-        for _ in range(_FEATURE_WALK_STEPS):
-            left = wanted - np.array([one.value(q) for one in features]) / spread[:, None]
-            is_there = np.abs(left).max(axis=0) < _ARRIVED
-            there[walks[is_there]] = True
-            goes = ~is_there
-            q, wanted, left, walks = q[:, goes], wanted[:, goes], left[:, goes], walks[goes]
-            if not len(walks):
-                break
-            q, found = _stepped(ensemble, q, left, features, spread, longest)
-            q, wanted, walks = q[:, found], wanted[:, found], walks[found]
-    return there
-
-
-def _stepped(
-    ensemble: Ensemble,
-    q: Array,
-    left: Array,
-    features: Sequence[Observable],
-    spread: Array,
-    longest: float,
-) -> tuple[Array, Marks]:
-    """A step of Gauss and Newton along the rows, and where there is one."""
-    manifold = ensemble.manifold
-    places = manifold.at(q)
-    slopes = np.array([manifold.project(places, one.gradient(q)) for one in features])
-    slopes /= spread[:, None, None]
-    inverse = np.linalg.pinv(np.nan_to_num(slopes).transpose(2, 0, 1), rcond=_WEAK)
-    step = manifold.project(places, np.einsum("bik,kb->ib", inverse, left))
-    size = np.abs(step).max(axis=0)
-    step *= np.minimum(1.0, longest / np.maximum(size, 1.0e-300))
-    there, found = manifold.close(places, q + step)
-    bent = np.abs(there - q - step).max(axis=0)
-    found &= bent <= _STRAIGHT * np.minimum(size, longest)
-    return there, found & np.isfinite(ensemble.space.potential(there))
-
-
-# ---- random streams ---------------------------------------------------------------------------
-# Random numbers as a function of seed, stream and index.
-
-
-def stream(seed: int, number: int, index: int) -> np.random.Generator:
-    """The generator of one index of one stream; what was drawn before does not matter.
-
-    Args:
-        seed: >= 0.
-        number: Of the stream, as that of a block of chains.
-        index: In the stream, as that of a sweep.
-    """
-    key = np.array([seed, number], dtype=np.uint64)
-    counter = np.array([0, 0, 0, index], dtype=np.uint64)
-    return np.random.Generator(np.random.Philox(key=key, counter=counter))
-
-
-# ---- components -------------------------------------------------------------------------------
-# Parts of a manifold that no motion along the rows joins: chains that never meet.
-
-
-_PROBES, _SWEEPS, _STEPS = 24, 130, 5
-_SHORT = 0.03  # of the scale: a step, too short to jump from one branch to another
+_PROBES, _SWEEPS, _STEPS = 24, 130, 5  # random starts, samples of a chain from each, their steps
+_SHORT = 0.03  # of the scale: a step of a chain, too short to jump from one branch to another
 _TRIES = 60  # of corrections towards the rows
 _KEPT = 100  # samples of a chain from which walks begin and at which they end
 _WALKS = 8  # from a chain to a component
 _STREAM = 2**62  # of probes, apart from those of chains
-
-
-class Components(NamedTuple):
-    """Components of a manifold, modulo what the features do not see.
-
-    Attributes:
-        of_probe: Number of the component of each random start, 0 that of the scene's start.
-        number: How many there are.
-        walls: What tells pairs of components apart, for people.
-    """
-
-    of_probe: NDArray[np.intp]
-    number: int
-    walls: tuple[str, ...]
-
-
-class _Flat:
-    """A space without energies, where walls stay."""
-
-    def __init__(self, ensemble: Ensemble) -> None:
-        space = ensemble.space
-        self.names, self.size, self.mass = space.names, space.size, space.mass
-        self.blocks, self.scale, self._space = space.blocks, space.scale, space
-        self.has_constant_masses = True
-
-    def potential(self, q: Array) -> Array:
-        """0, or infinite beyond a wall."""
-        energy = self._space.potential(q)
-        return np.where(np.isinf(energy), np.inf, 0.0)
-
-    def force(self, q: Array) -> Array:
-        """None."""
-        return np.zeros(q.shape)
-
-    def volume(self, q: Array, *, fixman: bool) -> Array:
-        """None."""
-        return np.zeros(q.shape[1])
-
-
-def random_starts(ensemble: Ensemble, q: Array, count: int, seed: int) -> Array:
-    """Configurations on the rows, far from a given one, shape (size, at most count).
-
-    Args:
-        ensemble: The ensemble.
-        q: The given one, shape (size,).
-        count: How many are looked for.
-        seed: Of the random numbers.
-    """
-    random, space = stream(seed, _STREAM, 0), ensemble.space
-    far = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
-    found: Marks = np.zeros(count, dtype=np.bool_)
-    with np.errstate(all="ignore"):
-        for _ in range(_TRIES):
-            places = ensemble.manifold.at(far)
-            far, found = ensemble.manifold.close(places, far)
-            if found.all():
-                break
-            again = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
-            far = np.where(found, far, again)
-        found = found & np.isfinite(space.potential(far))
-    return far[:, found]
 
 
 def components(
@@ -193,6 +49,29 @@ def components(
         _wall(clouds, group, int(numbers[0]), int(other), features) for other in numbers[1:]
     )
     return Components(np.searchsorted(numbers, group), len(numbers), walls)
+
+
+class _Flat:
+    """A space without energies, where walls stay."""
+
+    def __init__(self, ensemble: Ensemble) -> None:
+        space = ensemble.space
+        self.names, self.size, self.mass = space.names, space.size, space.mass
+        self.blocks, self.scale, self._space = space.blocks, space.scale, space
+        self.has_constant_masses = True
+
+    def potential(self, q: Array) -> Array:
+        """0, or infinite beyond a wall."""
+        energy = self._space.potential(q)
+        return np.where(np.isinf(energy), np.inf, 0.0)
+
+    def force(self, q: Array) -> Array:
+        """None."""
+        return np.zeros(q.shape)
+
+    def volume(self, q: Array, *, fixman: bool) -> Array:
+        """None."""
+        return np.zeros(q.shape[1])
 
 
 def _clouds(
@@ -256,6 +135,64 @@ def _apart(a: Array, b: Array) -> Array:
     return apart
 
 
+def arrives(
+    ensemble: Ensemble,
+    start: Array,
+    end: Array,
+    features: Sequence[Observable],
+    spread: Array,
+) -> Marks:
+    """Which walks come to the features of their ends, shape (walks,).
+
+    Steps are short, end on the rows and never cross a wall, so that one that arrives is a motion.
+
+    Args:
+        ensemble: Whose rows and walls count.
+        start: Configurations, shape (size, walks).
+        end: Configurations with the features that are looked for.
+        features: Quantities.
+        spread: Their usual size, > 0.
+    """
+    wanted = np.array([one.value(end) for one in features]) / spread[:, None]
+    q, longest = start, _LONGEST * ensemble.space.scale
+    there, walks = np.zeros(start.shape[1], dtype=np.bool_), np.arange(start.shape[1])
+    with np.errstate(all="ignore"):
+        for _ in range(_WALK_STEPS):
+            left = wanted - np.array([one.value(q) for one in features]) / spread[:, None]
+            is_there = np.abs(left).max(axis=0) < _ARRIVED
+            there[walks[is_there]] = True
+            goes = ~is_there
+            q, wanted, left, walks = q[:, goes], wanted[:, goes], left[:, goes], walks[goes]
+            if not len(walks):
+                break
+            q, found = _stepped(ensemble, q, left, features, spread, longest)
+            q, wanted, walks = q[:, found], wanted[:, found], walks[found]
+    return there
+
+
+def _stepped(
+    ensemble: Ensemble,
+    q: Array,
+    left: Array,
+    features: Sequence[Observable],
+    spread: Array,
+    longest: float,
+) -> tuple[Array, Marks]:
+    """A step of Gauss and Newton along the rows, and where there is one."""
+    manifold = ensemble.manifold
+    places = manifold.at(q)
+    slopes = np.array([manifold.project(places, one.gradient(q)) for one in features])
+    slopes /= spread[:, None, None]
+    inverse = np.linalg.pinv(np.nan_to_num(slopes).transpose(2, 0, 1), rcond=_WEAK)
+    step = manifold.project(places, np.einsum("bik,kb->ib", inverse, left))
+    size = np.abs(step).max(axis=0)
+    step *= np.minimum(1.0, longest / np.maximum(size, 1.0e-300))
+    there, found = manifold.close(places, q + step)
+    bent = np.abs(there - q - step).max(axis=0)
+    found &= bent <= _STRAIGHT * np.minimum(size, longest)
+    return there, found & np.isfinite(ensemble.space.potential(there))
+
+
 def _wall(
     clouds: Array, group: NDArray[np.intp], one: int, other: int, features: Sequence[Observable]
 ) -> str:
@@ -274,3 +211,41 @@ def _wall(
         return "no single quantity tells them apart"
     unit = f" {features[k].unit}" if features[k].unit else ""
     return f"{features[k].name} is {ends[0]}{unit} in one and {ends[1]}{unit} in the other"
+
+
+class Components(NamedTuple):
+    """Components of a manifold, modulo what the features do not see.
+
+    Attributes:
+        of_probe: Number of the component of each random start, 0 that of the scene's start.
+        number: How many there are.
+        walls: What tells pairs of components apart, for people.
+    """
+
+    of_probe: NDArray[np.intp]
+    number: int
+    walls: tuple[str, ...]
+
+
+def random_starts(ensemble: Ensemble, q: Array, count: int, seed: int) -> Array:
+    """Configurations on the rows, far from a given one, shape (size, at most count).
+
+    Args:
+        ensemble: The ensemble.
+        q: The given one, shape (size,).
+        count: How many are looked for.
+        seed: Of the random numbers.
+    """
+    random, space = stream(seed, _STREAM, 0), ensemble.space
+    far = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
+    found: Marks = np.zeros(count, dtype=np.bool_)
+    with np.errstate(all="ignore"):
+        for _ in range(_TRIES):
+            places = ensemble.manifold.at(far)
+            far, found = ensemble.manifold.close(places, far)
+            if found.all():
+                break
+            again = q[:, None] + 2.0 * space.scale * random.standard_normal((space.size, count))
+            far = np.where(found, far, again)
+        found = found & np.isfinite(space.potential(far))
+    return far[:, found]

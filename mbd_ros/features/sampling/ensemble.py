@@ -1,5 +1,7 @@
 """The canonical ensemble of a space: Langevin and Metropolis steps."""
 
+from __future__ import annotations
+
 from math import exp, sqrt
 from typing import NamedTuple
 
@@ -11,26 +13,8 @@ from mbd_ros.errors import DivergedError
 from mbd_ros.features.sampling.manifold import Manifold, Place
 from mbd_ros.features.sampling.space import Marks, Space
 
-# ---- ensemble ---------------------------------------------------------------------------------
-# The canonical ensemble of a space: its energy, its forces, and steps of RATTLE in it.
-
-
-class Walkers(NamedTuple):
-    """States of chains and what is known there.
-
-    Attributes:
-        q: Configurations, shape (size, chains).
-        v: Velocities with J v = 0.
-        places: Rows at q.
-        force: On the coordinates at q.
-        whole: Which chains are there: a step that has not ended on the rows is not, (chains,).
-    """
-
-    q: Array
-    v: Array
-    places: list[Place]
-    force: Array
-    whole: Marks
+_BACK = 1.0e-8  # of the scale: how near a step back has to come
+_VARIED = 0.2  # of the step, so that no motion comes back to its start
 
 
 class Ensemble:
@@ -108,64 +92,22 @@ class Ensemble:
         return now, v
 
 
-# ---- langevin ---------------------------------------------------------------------------------
-# Langevin dynamics along rows.
+class Walkers(NamedTuple):
+    """States of chains and what is known there.
 
-
-class Langevin:
-    """The splitting g-BAOAB: kick, move, friction and noise, move, kick.
-
-    Its configurations have an error of second order in dt; velocities of every step are along the
-    rows.
-
-    Source: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 2016, 20160138.
-
-    Args:
-        ensemble: The ensemble; masses of its space are constant.
-        dt: Step.
-        friction: Rate at which velocities are forgotten, >= 0.
+    Attributes:
+        q: Configurations, shape (size, chains).
+        v: Velocities with J v = 0.
+        places: Rows at q.
+        force: On the coordinates at q.
+        whole: Which chains are there: a step that has not ended on the rows is not, (chains,).
     """
 
-    def __init__(self, ensemble: Ensemble, dt: float, friction: float) -> None:
-        self._ensemble, self.dt = ensemble, dt
-        self._kept = exp(-friction * dt)
-        self._new = sqrt(1.0 - self._kept**2)
-
-    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
-        """Some steps.
-
-        Args:
-            at: States of the chains.
-            random: Of this sweep.
-            steps: How many.
-
-        Returns:
-            States, and which of them were accepted: all, shape (chains,).
-
-        Raises:
-            DivergedError: A step does not end on the rows.
-        """
-        ensemble, h = self._ensemble, self.dt
-        for _ in range(steps):
-            at = ensemble.move(ensemble.kick(at, 0.5 * h), 0.5 * h)
-            noise = ensemble.drawn(random, at.places, at.q.shape[1])
-            at = ensemble.move(at._replace(v=self._kept * at.v + self._new * noise), 0.5 * h)
-            at = at._replace(force=ensemble.force(at.q, at.places))
-            at = ensemble.kick(at, 0.5 * h)
-            if not at.whole.all():
-                raise DivergedError(
-                    f"langevin: no step of {h:g} ends on the rows in {(~at.whole).sum()} of "
-                    f"{at.whole.size} chains; try a smaller dt, or the method metropolis"
-                )
-        return at, at.whole
-
-
-# ---- metropolis -------------------------------------------------------------------------------
-# Steps of RATTLE that are accepted or not: exact whatever their length.
-
-
-_BACK = 1.0e-8  # of the scale: how near a step back has to come
-_VARIED = 0.2  # of the step, so that no motion comes back to its start
+    q: Array
+    v: Array
+    places: list[Place]
+    force: Array
+    whole: Marks
 
 
 class Metropolis:
@@ -243,8 +185,52 @@ def _taken(taken: Marks, there: Array, here: Array) -> Array:
     return np.where(np.tile(taken, copies), there, here)
 
 
-# ---- counting ---------------------------------------------------------------------------------
-# Degrees of freedom, temperatures, and how molecules divide their kinetic energy.
+class Langevin:
+    """The splitting g-BAOAB: kick, move, friction and noise, move, kick.
+
+    Its configurations have an error of second order in dt; velocities of every step are along the
+    rows.
+
+    Source: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 2016, 20160138.
+
+    Args:
+        ensemble: The ensemble; masses of its space are constant.
+        dt: Step.
+        friction: Rate at which velocities are forgotten, >= 0.
+    """
+
+    def __init__(self, ensemble: Ensemble, dt: float, friction: float) -> None:
+        self._ensemble, self.dt = ensemble, dt
+        self._kept = exp(-friction * dt)
+        self._new = sqrt(1.0 - self._kept**2)
+
+    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
+        """Some steps.
+
+        Args:
+            at: States of the chains.
+            random: Of this sweep.
+            steps: How many.
+
+        Returns:
+            States, and which of them were accepted: all, shape (chains,).
+
+        Raises:
+            DivergedError: A step does not end on the rows.
+        """
+        ensemble, h = self._ensemble, self.dt
+        for _ in range(steps):
+            at = ensemble.move(ensemble.kick(at, 0.5 * h), 0.5 * h)
+            noise = ensemble.drawn(random, at.places, at.q.shape[1])
+            at = ensemble.move(at._replace(v=self._kept * at.v + self._new * noise), 0.5 * h)
+            at = at._replace(force=ensemble.force(at.q, at.places))
+            at = ensemble.kick(at, 0.5 * h)
+            if not at.whole.all():
+                raise DivergedError(
+                    f"langevin: no step of {h:g} ends on the rows in {(~at.whole).sum()} of "
+                    f"{at.whole.size} chains; try a smaller dt, or the method metropolis"
+                )
+        return at, at.whole
 
 
 def degrees_of_freedom(space: Space, q: Array, conserved: int = 0) -> int:
@@ -267,36 +253,6 @@ def degrees_of_freedom(space: Space, q: Array, conserved: int = 0) -> int:
     return space.size - rank - conserved
 
 
-def temperature(kinetic: Array, degrees: int, boltzmann: float) -> Array:
-    """2 K / (f k), shape as `kinetic`."""
-    found: Array = kinetic * (2.0 / (degrees * boltzmann))
-    return found
-
-
-def kinetic_parts(masses: Array, x: Array, v: Array) -> Array:
-    """Kinetic energy of translation, rotation and what is left of molecules, shape (3, n).
-
-    Rotation is L . I^-1 L / 2 about the centre of mass, with the angular momentum and the inertia
-    of the instant: a frame that is tied to one bond counts other motion as rotation.
-
-    Args:
-        masses: Shape (atoms,).
-        x: Positions, shape (atoms, 3, n).
-        v: Velocities.
-    """
-    m, total = masses[:, None, None], float(masses.sum())
-    V = (m * v).sum(axis=0) / total
-    r, w = x - (m * x).sum(axis=0) / total, v - V
-    L = (m * np.cross(r, w, axis=1)).sum(axis=0)
-    unit = np.eye(3)[:, :, None]
-    inertia = (m * r * r).sum(axis=(0, 1)) * unit - np.einsum("a,acn,adn->cdn", masses, r, r)
-    inverse = np.linalg.pinv(inertia.transpose(2, 0, 1), rcond=1.0e-9, hermitian=True)
-    translation = 0.5 * total * (V * V).sum(axis=0)
-    rotation = 0.5 * np.einsum("cn,ncd,dn->n", L, inverse, L)
-    kinetic = 0.5 * np.einsum("a,acn,acn->n", masses, v, v)
-    return np.array([translation, rotation, kinetic - translation - rotation])
-
-
 def kinetic_after_step(ensemble: Ensemble, at: Walkers, h: float) -> Array:
     """Kinetic energy after a step, as RATTLE and as SHAKE leave it, shape (2, chains).
 
@@ -310,3 +266,16 @@ def kinetic_after_step(ensemble: Ensemble, at: Walkers, h: float) -> Array:
     """
     after, unprojected = ensemble.step(at, h)
     return np.array([ensemble.kinetic(after.v), ensemble.kinetic(unprojected)])
+
+
+def stream(seed: int, number: int, index: int) -> np.random.Generator:
+    """The generator of one index of one stream; what was drawn before does not matter.
+
+    Args:
+        seed: >= 0.
+        number: Of the stream, as that of a block of chains.
+        index: In the stream, as that of a sweep.
+    """
+    key = np.array([seed, number], dtype=np.uint64)
+    counter = np.array([0, 0, 0, index], dtype=np.uint64)
+    return np.random.Generator(np.random.Philox(key=key, counter=counter))

@@ -1,17 +1,26 @@
 """Ensembles of a scene: `mbd-ros sample`."""
 
-import base64
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, DivergedError, SceneError
 from mbd_ros.features.sampling import tables
-from mbd_ros.features.sampling.chains import Asked, Checkpoint, Order, Sampled, blocks_of
+from mbd_ros.features.sampling.chains import (
+    Asked,
+    Order,
+    Sampled,
+    blocks_of,
+    packed_block,
+    packed_checkpoint,
+    read_checkpoint,
+    unpacked_block,
+    unpacked_checkpoint,
+    write_checkpoint,
+)
 from mbd_ros.features.sampling.components import components
 from mbd_ros.features.sampling.ensemble import degrees_of_freedom
 from mbd_ros.features.sampling.mean_force import (
@@ -23,7 +32,7 @@ from mbd_ros.features.sampling.mean_force import (
 )
 from mbd_ros.features.sampling.task import SampleTask, sample_task
 from mbd_ros.files.formats import PICTURES, format_of, suffix_of
-from mbd_ros.files.output_file import check_place, refuse_overwriting, replacing
+from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.jobs.result_files import write_tables
@@ -32,160 +41,6 @@ from mbd_ros.jobs.workers.task import Task
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.reader import load_any
 from mbd_ros.scene.task_reader import read_task
-
-# ---- blocks -----------------------------------------------------------------------------------
-# Blocks of chains, done here or by workers: the same bits wherever.
-
-
-# Arrays as JSON holds them, to the bit: what goes to workers and comes back.
-
-
-def listed(done: Sampled) -> dict[str, Any]:
-    """What a block of chains gave."""
-    return {
-        "values": _packed(done.values),
-        "accepted": _packed(done.accepted),
-        "end": listed_checkpoint(done.end),
-    }
-
-
-def received(value: Mapping[str, Any]) -> Sampled:
-    """The same back."""
-    values, accepted = (_unpacked(value[key]) for key in ("values", "accepted"))
-    return Sampled(values, accepted, checkpoint(value["end"]))
-
-
-def listed_checkpoint(one: Checkpoint) -> list[Any]:
-    """Where a block of chains stands."""
-    return [_packed(one.q), _packed(one.v), one.sweeps, one.dt]
-
-
-def checkpoint(listed: Sequence[Any]) -> Checkpoint:
-    """The same back."""
-    q, v, sweeps, dt = listed
-    return Checkpoint(_unpacked(q), _unpacked(v), sweeps, dt)
-
-
-def _packed(values: Array) -> list[Any]:
-    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
-    return [list(values.shape), base64.b64encode(data).decode()]
-
-
-def _unpacked(packed: Sequence[Any]) -> Array:
-    shape, data = packed
-    return np.frombuffer(base64.b64decode(data), dtype="<f8").reshape(shape).copy()
-
-
-def blocks_done(
-    asked: Asked, orders: Sequence[Order], workers: int | None, scheduler: str | None
-) -> list[Sampled]:
-    """Blocks of chains, in the order of `orders`, here or by workers.
-
-    Raises:
-        DataError: A worker has failed.
-        MbdError: As `Asked.done`.
-    """
-    scene = asked.scene
-    alone = scene.path is None or getattr(scene, "code", False) or len(orders) < 2
-    if alone or (workers == 1 and scheduler is None):
-        return [asked.done(order) for order in orders]
-    entries = _entries(asked.task)
-    tasks = [
-        Task(str(i), f"{__name__}:do", {"scene": str(scene.path), "task": entries} | _sent(order))
-        for i, order in enumerate(orders)
-    ]
-    with open_workers(scheduler, workers) as opened:
-        done = {t.name: r for t, r in watched(do_all(opened, tasks), tasks, opened.count)}
-    for task in tasks:
-        failure = done[task.name].failure
-        if failure:
-            raise _failed(failure)
-    return [received(done[task.name].value) for task in tasks]
-
-
-def do(sent: Mapping[str, Any]) -> dict[str, Any]:
-    """A block of chains in a worker."""
-    asked = Asked(load_any(sent["scene"]), sample_task(sent["task"], "sample"), "sample")
-    start = None if sent["start"] is None else checkpoint(sent["start"])
-    return listed(asked.done(Order(sent["number"], sent["level"], start)))
-
-
-def _failed(failure: str) -> Exception:
-    kind, _, text = failure.partition(": ")
-    kinds = {"DivergedError": DivergedError, "SceneError": SceneError}
-    return kinds[kind](text.rpartition(" (")[0]) if kind in kinds else DataError(failure)
-
-
-def _entries(task: SampleTask) -> dict[str, Any]:
-    entries = {key: value for key, value in vars(task).items() if value is not None}
-    entries["observe"], entries["histograms"] = dict(task.observe), {}
-    entries["at"] = list(task.at)
-    if task.coordinate is None:
-        del entries["at"]
-    return entries
-
-
-def _sent(order: Order) -> dict[str, Any]:
-    start = None if order.start is None else listed_checkpoint(order.start)
-    return {"number": order.number, "level": order.level, "start": start}
-
-
-# ---- job --------------------------------------------------------------------------------------
-# Ensembles of a scene: `mbd-ros sample`.
-
-
-# Where chains stand, as a .npz: from there a run goes on with the same bits.
-
-_KEYS = ("q", "v", "sweeps", "dt")
-
-
-def write_checkpoint(path: Path, blocks: Sequence[Checkpoint]) -> None:
-    """Write where all blocks of a run stand.
-
-    Raises:
-        DataError: A place that cannot be written to.
-    """
-    arrays = {
-        f"{key}{i}": np.asarray(value)
-        for i, block in enumerate(blocks)
-        for key, value in zip(_KEYS, block, strict=True)
-    }
-    with replacing(path) as file:
-        np.savez(file, allow_pickle=False, **arrays)
-
-
-def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkpoint]:
-    """Where all blocks of a run stand.
-
-    Args:
-        path: The file.
-        sizes: Coordinates and chains of each block of the run that goes on.
-
-    Raises:
-        DataError: It cannot be read, or is that of another scene or another number of chains.
-    """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            found = {key: file[key] for key in file.files}
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        raise DataError(f"{path}: is no checkpoint of sample ({error})") from error
-    blocks = []
-    for i, size in enumerate(sizes):
-        if any(f"{key}{i}" not in found for key in _KEYS):
-            raise DataError(f"{path}: has no block {i + 1} of {len(sizes)}: another run's")
-        q, v, sweeps, dt = (found[f"{key}{i}"] for key in _KEYS)
-        if q.shape != size or v.shape != size:
-            raise DataError(
-                f"{path}: {q.shape[0]} coordinates of {q.shape[-1]} chains, this run has "
-                f"{size[0]} of {size[1]}"
-            )
-        if not (np.isfinite(q).all() and np.isfinite(v).all() and float(dt) > 0.0):
-            raise DataError(f"{path}: holds numbers that are not finite")
-        blocks.append(Checkpoint(q.astype(float), v.astype(float), int(sweeps), float(dt)))
-    if len(found) != len(_KEYS) * len(sizes):
-        raise DataError(f"{path}: is of a run with more chains")
-    return blocks
-
 
 _APART = 1.05  # split R-hat above which chains are said not to agree
 _BINS = 20
@@ -254,18 +109,8 @@ def sample(
     return result
 
 
-def task_of(scene: Any, task: str | Path | Mapping[str, Any]) -> tuple[SampleTask, str]:
-    """The task of a file or of keys, and its name for messages."""
-    if not isinstance(task, str | Path):
-        return sample_task(dict(task), "sample"), "sample"
-    parts = read_task(task, scene).parts
-    if "sample" not in parts:
-        raise SceneError(f"{task}: has no section sample")
-    return parts["sample"], f"{task}: sample"
-
-
 def run_sample(asked: Asked, say: Say, where: Where = _HERE) -> Result:
-    """See `sample`."""
+    """Do what `sample` describes."""
     for line in _first_lines(asked):
         say(line)
     if asked.coordinate is not None:
@@ -297,6 +142,30 @@ def _first_lines(asked: Asked) -> Iterator[str]:
         f"{own} of {len(found.of_probe) - 1} random starts are in that of the scene"
     )
     yield from (f"  wall: {wall}" for wall in found.walls)
+
+
+def _profile(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
+    if where.goes_on is not None or where.checkpoint is not None:
+        raise SceneError("mean forces have no checkpoints; a run without a coordinate has")
+    levels, blocks = list(asked.task.at), blocks_of(asked.plan.chains)
+    orders = [Order(i, level) for level in levels for i in range(len(blocks))]
+    done = blocks_done(asked, orders, where.workers, where.scheduler)
+    forces = []
+    for k, level in enumerate(levels):
+        mine = done[k * len(blocks) : (k + 1) * len(blocks)]
+        values = np.concatenate([one.values for one in mine], axis=1)
+        forces.append(mean_force(level, *values))
+    profile, coordinate = free_energy(forces), asked.coordinate
+    assert coordinate is not None
+    units = (coordinate.unit, asked.sampled.energy)
+    for one, energy, error in zip(forces, *profile, strict=True):
+        say(
+            f"  {coordinate.name} {one.level:g}: mean force {one.force.mean:.6g} +- "
+            f"{one.force.error:.2g}, free energy {energy:.6g} +- {error:.2g} "
+            f"({one.force.effective:.0f} effective samples)"
+        )
+    table = tables.profile_table(coordinate.name, units, forces, profile)
+    return {MAIN: table, tables.PROFILE: table}
 
 
 def _ensemble(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
@@ -372,32 +241,14 @@ def _binned(
             yield one.name, x, np.linspace(float(x.min()), float(x.max()), _BINS + 1)
 
 
-def _profile(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
-    if where.goes_on is not None or where.checkpoint is not None:
-        raise SceneError("mean forces have no checkpoints; a run without a coordinate has")
-    levels, blocks = list(asked.task.at), blocks_of(asked.plan.chains)
-    orders = [Order(i, level) for level in levels for i in range(len(blocks))]
-    done = blocks_done(asked, orders, where.workers, where.scheduler)
-    forces = []
-    for k, level in enumerate(levels):
-        mine = done[k * len(blocks) : (k + 1) * len(blocks)]
-        values = np.concatenate([one.values for one in mine], axis=1)
-        forces.append(mean_force(level, *values))
-    profile, coordinate = free_energy(forces), asked.coordinate
-    assert coordinate is not None
-    units = (coordinate.unit, asked.sampled.energy)
-    for one, energy, error in zip(forces, *profile, strict=True):
-        say(
-            f"  {coordinate.name} {one.level:g}: mean force {one.force.mean:.6g} +- "
-            f"{one.force.error:.2g}, free energy {energy:.6g} +- {error:.2g} "
-            f"({one.force.effective:.0f} effective samples)"
-        )
-    table = tables.profile_table(coordinate.name, units, forces, profile)
-    return {MAIN: table, tables.PROFILE: table}
-
-
-# ---- to file ----------------------------------------------------------------------------------
-# Ensembles into files: `mbd-ros sample`.
+def task_of(scene: Any, task: str | Path | Mapping[str, Any]) -> tuple[SampleTask, str]:
+    """The task of a file or of keys, and its name for messages."""
+    if not isinstance(task, str | Path):
+        return sample_task(dict(task), "sample"), "sample"
+    parts = read_task(task, scene).parts
+    if "sample" not in parts:
+        raise SceneError(f"{task}: has no section sample")
+    return parts["sample"], f"{task}: sample"
 
 
 def sample_to(
@@ -421,7 +272,7 @@ def sample_to(
         where: Where chains are sampled.
 
     Raises:
-        MbdError: As `sample`, or a place that cannot be written to.
+        MbdError: Input that cannot be used, or a place that cannot be written to.
     """
     for place in filter(None, (out, plot, where.checkpoint)):
         refuse_overwriting(place, task, scene.path)
@@ -450,3 +301,57 @@ def _entries_of(scene: Any, task: Path | None) -> dict[str, Any]:
     if "sample" not in entries:
         raise SceneError(f"{task}: has no section sample")
     return dict(entries["sample"])
+
+
+def blocks_done(
+    asked: Asked, orders: Sequence[Order], workers: int | None, scheduler: str | None
+) -> list[Sampled]:
+    """Blocks of chains, in the order of `orders`, here or by workers.
+
+    Raises:
+        DataError: A worker has failed.
+        MbdError: A step does not end on the rows, or a held value cannot be reached.
+    """
+    scene = asked.scene
+    alone = scene.path is None or getattr(scene, "code", False) or len(orders) < 2
+    if alone or (workers == 1 and scheduler is None):
+        return [asked.done(order) for order in orders]
+    entries = _entries(asked.task)
+    tasks = [
+        Task(str(i), f"{__name__}:do", {"scene": str(scene.path), "task": entries} | _sent(order))
+        for i, order in enumerate(orders)
+    ]
+    with open_workers(scheduler, workers) as opened:
+        done = {t.name: r for t, r in watched(do_all(opened, tasks), tasks, opened.count)}
+    for task in tasks:
+        failure = done[task.name].failure
+        if failure:
+            raise _failed(failure)
+    return [unpacked_block(done[task.name].value) for task in tasks]
+
+
+def _entries(task: SampleTask) -> dict[str, Any]:
+    entries = {key: value for key, value in vars(task).items() if value is not None}
+    entries["observe"], entries["histograms"] = dict(task.observe), {}
+    entries["at"] = list(task.at)
+    if task.coordinate is None:
+        del entries["at"]
+    return entries
+
+
+def _sent(order: Order) -> dict[str, Any]:
+    start = None if order.start is None else packed_checkpoint(order.start)
+    return {"number": order.number, "level": order.level, "start": start}
+
+
+def _failed(failure: str) -> Exception:
+    kind, _, text = failure.partition(": ")
+    kinds = {"DivergedError": DivergedError, "SceneError": SceneError}
+    return kinds[kind](text.rpartition(" (")[0]) if kind in kinds else DataError(failure)
+
+
+def do(sent: Mapping[str, Any]) -> dict[str, Any]:
+    """A block of chains in a worker."""
+    asked = Asked(load_any(sent["scene"]), sample_task(sent["task"], "sample"), "sample")
+    start = None if sent["start"] is None else unpacked_checkpoint(sent["start"])
+    return packed_block(asked.done(Order(sent["number"], sent["level"], start)))

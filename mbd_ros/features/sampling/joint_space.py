@@ -1,5 +1,7 @@
 """A mechanism as what is sampled: the coordinates that a tier integrates, and its loops."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -10,43 +12,11 @@ from mbd_ros.core.rows.constraint_rows import independent
 from mbd_ros.core.state import NONE, Array, State
 
 _SCALE = 1.0  # rad or m
-
 Wall = Callable[[State], bool]  # whether a state of all joints is within
 
 
-class JointRows:
-    """Loops of a mechanism.
-
-    Args:
-        system: The system.
-
-    Attributes:
-        coordinates: None: all of them.
-        copies: 1.
-        rows: Names.
-    """
-
-    coordinates = None
-    copies = 1
-
-    def __init__(self, system: System, kept: Sequence[int]) -> None:
-        self._system, self._kept = system, list(kept)
-        self.rows = tuple(system.rows[i].name for i in kept)
-
-    def residual(self, x: Array) -> Array:
-        """g, shape (m, n)."""
-        kept, residual = self._kept, self._system.residual
-        return np.array([residual(0.0, q)[kept] for q in np.ascontiguousarray(x.T)]).T
-
-    def jacobian(self, x: Array) -> Array:
-        """dg/dx, shape (m, size, n)."""
-        kept, jacobian = self._kept, self._system.jacobian
-        each = [jacobian(0.0, q)[kept] for q in np.ascontiguousarray(x.T)]
-        return np.moveaxis(np.array(each), 0, 2)
-
-
 class JointSpace:
-    """Coordinates of a mechanism; see `space.Space`.
+    """Coordinates of a mechanism, a `Space`.
 
     The kinetic energy has the mass matrix M(q); velocities are drawn with the constant masses on
     the diagonal of M at the start, and `volume` makes up for the difference.
@@ -139,3 +109,34 @@ class JointSpace:
             if not fixman:
                 found += float(np.linalg.slogdet(J.dot(mass.solve(J.T)))[1])
         return 0.5 * found
+
+
+class JointRows:
+    """Loops of a mechanism.
+
+    Args:
+        system: The system.
+
+    Attributes:
+        coordinates: None: all of them.
+        copies: 1.
+        rows: Names.
+    """
+
+    coordinates = None
+    copies = 1
+
+    def __init__(self, system: System, kept: Sequence[int]) -> None:
+        self._system, self._kept = system, list(kept)
+        self.rows = tuple(system.rows[i].name for i in kept)
+
+    def residual(self, x: Array) -> Array:
+        """g, shape (m, n)."""
+        kept, residual = self._kept, self._system.residual
+        return np.array([residual(0.0, q)[kept] for q in np.ascontiguousarray(x.T)]).T
+
+    def jacobian(self, x: Array) -> Array:
+        """dg/dx, shape (m, size, n)."""
+        kept, jacobian = self._kept, self._system.jacobian
+        each = [jacobian(0.0, q)[kept] for q in np.ascontiguousarray(x.T)]
+        return np.moveaxis(np.array(each), 0, 2)

@@ -1,5 +1,7 @@
 """Configurations that keep rows: projection of velocities, steps along them, their metric."""
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
@@ -13,18 +15,53 @@ _MOST = 12  # corrections of a step
 _APART = 1.0e-5  # of the scale: steps of differences of Jacobians
 
 
-class Place(NamedTuple):
-    """Rows at configurations.
+class Manifold:
+    """All configurations of a space that keep its rows.
+
+    Args:
+        space: The space.
 
     Attributes:
-        J: Their Jacobian, shape (m, size, n).
-        D: M^-1 J', as (m, size, n).
-        A: J M^-1 J', shape (m, m, n).
+        space: As given.
+        parts: Its blocks.
     """
 
-    J: Array
-    D: Array
-    A: Array
+    def __init__(self, space: Space) -> None:
+        self.space = space
+        self.parts = [BlockRows(block, space.mass, space.scale) for block in space.blocks]
+
+    def at(self, q: Array) -> list[Place]:
+        """Rows of all blocks at configurations, shape (size, chains)."""
+        return [part.at(part.of(q)) for part in self.parts]
+
+    def project(self, places: list[Place], v: Array) -> Array:
+        """The nearest velocities with J v = 0, shape as v."""
+        for part, place in zip(self.parts, places, strict=True):
+            v = part.put(v, part.project(place, part.of(v)))
+        return v
+
+    def close(self, places: list[Place], q: Array) -> tuple[Array, Marks]:
+        """Configurations on the rows from those near them, and which were found, (chains,)."""
+        found: Marks = np.asarray(np.isfinite(q).all(axis=0))
+        for part, place in zip(self.parts, places, strict=True):
+            x, well = part.close(place, part.of(q))
+            q = part.put(q, x)
+            found = found & well.reshape(part.block.copies, -1).all(axis=0)
+        return q, found
+
+    def log_gram(self, places: list[Place]) -> Array:
+        """Logarithm of det J M^-1 J', the sum of all blocks, shape (chains,)."""
+        total = np.zeros(1)
+        for part, place in zip(self.parts, places, strict=True):
+            total = total + log_determinant(place.A).reshape(part.block.copies, -1).sum(axis=0)
+        return total
+
+    def log_gradient(self, places: list[Place], q: Array) -> Array:
+        """Gradient of 1/2 ln det J M^-1 J', shape (size, chains)."""
+        total = np.zeros(q.shape)
+        for part, place in zip(self.parts, places, strict=True):
+            total = part.put(total, part.log_gradient(place, part.of(q)))
+        return total
 
 
 class BlockRows:
@@ -113,53 +150,15 @@ class BlockRows:
         return change
 
 
-class Manifold:
-    """All configurations of a space that keep its rows.
-
-    Args:
-        space: The space.
+class Place(NamedTuple):
+    """Rows at configurations.
 
     Attributes:
-        space: As given.
-        parts: Its blocks.
-        degrees: Number of coordinates less the number of rows; `counting` takes ranks.
+        J: Their Jacobian, shape (m, size, n).
+        D: M^-1 J', as (m, size, n).
+        A: J M^-1 J', shape (m, m, n).
     """
 
-    def __init__(self, space: Space) -> None:
-        self.space = space
-        self.parts = [BlockRows(block, space.mass, space.scale) for block in space.blocks]
-        rows = sum(len(block.rows) * block.copies for block in space.blocks)
-        self.degrees = space.size - rows
-
-    def at(self, q: Array) -> list[Place]:
-        """Rows of all blocks at configurations, shape (size, chains)."""
-        return [part.at(part.of(q)) for part in self.parts]
-
-    def project(self, places: list[Place], v: Array) -> Array:
-        """The nearest velocities with J v = 0, shape as v."""
-        for part, place in zip(self.parts, places, strict=True):
-            v = part.put(v, part.project(place, part.of(v)))
-        return v
-
-    def close(self, places: list[Place], q: Array) -> tuple[Array, Marks]:
-        """Configurations on the rows from those near them, and which were found, (chains,)."""
-        found: Marks = np.asarray(np.isfinite(q).all(axis=0))
-        for part, place in zip(self.parts, places, strict=True):
-            x, well = part.close(place, part.of(q))
-            q = part.put(q, x)
-            found = found & well.reshape(part.block.copies, -1).all(axis=0)
-        return q, found
-
-    def log_gram(self, places: list[Place]) -> Array:
-        """Logarithm of det J M^-1 J', the sum of all blocks, shape (chains,)."""
-        total = np.zeros(1)
-        for part, place in zip(self.parts, places, strict=True):
-            total = total + log_determinant(place.A).reshape(part.block.copies, -1).sum(axis=0)
-        return total
-
-    def log_gradient(self, places: list[Place], q: Array) -> Array:
-        """Gradient of 1/2 ln det J M^-1 J', shape (size, chains)."""
-        total = np.zeros(q.shape)
-        for part, place in zip(self.parts, places, strict=True):
-            total = part.put(total, part.log_gradient(place, part.of(q)))
-        return total
+    J: Array
+    D: Array
+    A: Array

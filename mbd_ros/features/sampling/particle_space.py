@@ -1,85 +1,20 @@
 """Molecules as what is sampled: coordinates of all points, rows of each kind side by side."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 
 import numpy as np
 
 from mbd_ros.core.rows.constraint_rows import independent
 from mbd_ros.core.state import Array
-from mbd_ros.features.sampling.ensemble import kinetic_parts
 from mbd_ros.methods.particles.molecules import Molecules
 from mbd_ros.methods.particles.particle_system import PairForces
 from mbd_ros.methods.particles.rigid_bonds import DistanceRow, PointRow, SurfaceRow
 
 
-class MoleculeRows:
-    """Rows of a kind of molecules; those that others imply are left out.
-
-    Args:
-        kind: The molecules.
-        first: Number of their first coordinate.
-
-    Attributes:
-        coordinates: Shape (3 atoms, copies); None where they are all there are.
-        copies: Number of molecules.
-        rows: Names of the rows of one of them.
-    """
-
-    coordinates: Array | None
-
-    def __init__(self, kind: Molecules, first: int, *, is_alone: bool) -> None:
-        self._atoms, self.copies = len(kind.atoms), kind.count
-        size = 3 * self._atoms
-        self.coordinates = first + np.arange(size * self.copies).reshape(-1, size).T
-        if is_alone and self.copies == 1:
-            self.coordinates = None
-        self._take(list(kind.rows))
-        J = self.jacobian(kind.at.reshape(-1, 1))[:, :, 0]
-        ordered: list[PointRow] = [*self._bonds, *self._surfaces]
-        self._take([ordered[i] for i in independent(J)])
-        kept: list[PointRow] = [*self._bonds, *self._surfaces]
-        self.rows = tuple(row.name for row in kept)
-
-    def _take(self, rows: Sequence[PointRow]) -> None:
-        self._bonds = [row for row in rows if isinstance(row, DistanceRow)]
-        self._surfaces = [row for row in rows if isinstance(row, SurfaceRow)]
-        self._i = np.array([row.i for row in self._bonds], dtype=np.intp)
-        self._j = np.array([row.j for row in self._bonds], dtype=np.intp)
-        self._length = np.array([row.length for row in self._bonds])[:, None, None]
-        self._at = np.array([row.i for row in self._surfaces], dtype=np.intp)
-        self._level = np.array([row.level for row in self._surfaces])[:, None]
-        self._squares, self._normal, self._center = (
-            np.array([getattr(row, name) for row in self._surfaces]).reshape(-1, 3, 1)
-            for name in ("squares", "normal", "center")
-        )
-
-    def residual(self, x: Array) -> Array:
-        """g, shape (m, n)."""
-        at, n = x.reshape(self._atoms, 3, -1), len(self._bonds)
-        g = np.empty((n + len(self._surfaces), x.shape[1]))
-        d = at[self._i] - at[self._j]
-        length = self._length[:, 0]
-        g[:n] = 0.5 * (np.einsum("kcn,kcn->kn", d, d) / length - length)
-        if self._surfaces:
-            d = at[self._at] - self._center
-            g[n:] = np.einsum("kcn,kcn->kn", self._squares * d + self._normal, d) - self._level
-        return g
-
-    def jacobian(self, x: Array) -> Array:
-        """dg/dx, shape (m, 3 atoms, n)."""
-        at, n = x.reshape(self._atoms, 3, -1), len(self._bonds)
-        J = np.zeros((n + len(self._surfaces), *at.shape))
-        d = (at[self._i] - at[self._j]) / self._length
-        rows = np.arange(n)
-        J[rows, self._i], J[rows, self._j] = d, -d
-        if self._surfaces:
-            d = at[self._at] - self._center
-            J[np.arange(n, len(J)), self._at] = 2.0 * self._squares * d + self._normal
-        return J.reshape(len(J), *x.shape)
-
-
 class ParticleSpace:
-    """Positions of all points of molecules; see `space.Space`.
+    """Positions of all points of molecules, a `Space`.
 
     Args:
         kinds: The molecules, in the order of the coordinates.
@@ -181,3 +116,93 @@ def _usual_size(kinds: Sequence[Molecules]) -> float:
         lengths = [float(np.linalg.norm(kind.at, axis=1).max()) for kind in kinds]
     found = float(np.median(lengths))
     return found if found > 0.0 else 1.0
+
+
+class MoleculeRows:
+    """Rows of a kind of molecules; those that others imply are left out.
+
+    Args:
+        kind: The molecules.
+        first: Number of their first coordinate.
+
+    Attributes:
+        coordinates: Shape (3 atoms, copies); None where they are all there are.
+        copies: Number of molecules.
+        rows: Names of the rows of one of them.
+    """
+
+    coordinates: Array | None
+
+    def __init__(self, kind: Molecules, first: int, *, is_alone: bool) -> None:
+        self._atoms, self.copies = len(kind.atoms), kind.count
+        size = 3 * self._atoms
+        self.coordinates = first + np.arange(size * self.copies).reshape(-1, size).T
+        if is_alone and self.copies == 1:
+            self.coordinates = None
+        self._take(list(kind.rows))
+        J = self.jacobian(kind.at.reshape(-1, 1))[:, :, 0]
+        ordered: list[PointRow] = [*self._bonds, *self._surfaces]
+        self._take([ordered[i] for i in independent(J)])
+        kept: list[PointRow] = [*self._bonds, *self._surfaces]
+        self.rows = tuple(row.name for row in kept)
+
+    def _take(self, rows: Sequence[PointRow]) -> None:
+        self._bonds = [row for row in rows if isinstance(row, DistanceRow)]
+        self._surfaces = [row for row in rows if isinstance(row, SurfaceRow)]
+        self._i = np.array([row.i for row in self._bonds], dtype=np.intp)
+        self._j = np.array([row.j for row in self._bonds], dtype=np.intp)
+        self._length = np.array([row.length for row in self._bonds])[:, None, None]
+        self._at = np.array([row.i for row in self._surfaces], dtype=np.intp)
+        self._level = np.array([row.level for row in self._surfaces])[:, None]
+        self._squares, self._normal, self._center = (
+            np.array([getattr(row, name) for row in self._surfaces]).reshape(-1, 3, 1)
+            for name in ("squares", "normal", "center")
+        )
+
+    def residual(self, x: Array) -> Array:
+        """g, shape (m, n)."""
+        at, n = x.reshape(self._atoms, 3, -1), len(self._bonds)
+        g = np.empty((n + len(self._surfaces), x.shape[1]))
+        d = at[self._i] - at[self._j]
+        length = self._length[:, 0]
+        g[:n] = 0.5 * (np.einsum("kcn,kcn->kn", d, d) / length - length)
+        if self._surfaces:
+            d = at[self._at] - self._center
+            g[n:] = np.einsum("kcn,kcn->kn", self._squares * d + self._normal, d) - self._level
+        return g
+
+    def jacobian(self, x: Array) -> Array:
+        """dg/dx, shape (m, 3 atoms, n)."""
+        at, n = x.reshape(self._atoms, 3, -1), len(self._bonds)
+        J = np.zeros((n + len(self._surfaces), *at.shape))
+        d = (at[self._i] - at[self._j]) / self._length
+        rows = np.arange(n)
+        J[rows, self._i], J[rows, self._j] = d, -d
+        if self._surfaces:
+            d = at[self._at] - self._center
+            J[np.arange(n, len(J)), self._at] = 2.0 * self._squares * d + self._normal
+        return J.reshape(len(J), *x.shape)
+
+
+def kinetic_parts(masses: Array, x: Array, v: Array) -> Array:
+    """Kinetic energy of translation, rotation and what is left of molecules, shape (3, n).
+
+    Rotation is L . I^-1 L / 2 about the centre of mass, with the angular momentum and the inertia
+    of the instant: a frame that is tied to one bond counts other motion as rotation.
+
+    Args:
+        masses: Shape (atoms,).
+        x: Positions, shape (atoms, 3, n).
+        v: Velocities.
+    """
+    m, total = masses[:, None, None], float(masses.sum())
+    V = (m * v).sum(axis=0) / total
+    r, w = x - (m * x).sum(axis=0) / total, v - V
+    L = (m * np.cross(r, w, axis=1)).sum(axis=0)
+    unit = np.eye(3)[:, :, None]
+    inertia = (m * r * r).sum(axis=(0, 1)) * unit - np.einsum("a,acn,adn->cdn", masses, r, r)
+    inverse = np.linalg.pinv(inertia.transpose(2, 0, 1), rcond=1.0e-9, hermitian=True)
+    translation = 0.5 * total * (V * V).sum(axis=0)
+    rotation = 0.5 * np.einsum("cn,ncd,dn->n", L, inverse, L)
+    kinetic = 0.5 * np.einsum("a,acn,acn->n", masses, v, v)
+    return np.array([translation, rotation, kinetic - translation - rotation])

@@ -1,8 +1,10 @@
 """What of a scene is sampled: its space, its start, its quantities and their units."""
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -14,17 +16,32 @@ from mbd_ros.features.sampling.joint_space import JointSpace
 from mbd_ros.features.sampling.observables import Observable, coordinate
 from mbd_ros.features.sampling.particle_space import ParticleSpace
 from mbd_ros.methods.particles.molecules import ElasticBond, Molecules
-from mbd_ros.methods.particles.rigid_bonds import DistanceRow, SurfaceRow
+from mbd_ros.methods.particles.rigid_bonds import DistanceRow, PointRow, SurfaceRow
 from mbd_ros.methods.particles.units import BOLTZMANN
 from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import is_of_particles
+from mbd_ros.scene.schema.nearest import nearest
 
-# ---- sampled scene ----------------------------------------------------------------------------
-# What of a scene is sampled: its space, its start, its quantities and their units.
-
-
+_POINTS = {"distance": 2, "cosine": 3, "angle": 3, "dihedral": 4, "quadratic": 1}
+_FORMS = (
+    "distance A B, cosine A B C, angle A B C, dihedral A B C D, quadratic A wx wy wz, "
+    "A.x of particles"
+)
+DRIVEN = ("distance", "cosine", "angle", "quadratic")  # forces are averaged along these
 _MOST = 60  # coordinates of a scene whose components are looked for unasked
+_COMPARED = 7  # points of a molecule of which all pairs are compared
+
+
+def sampled_scene(scene: Any) -> SampledScene:
+    """What of a scene is sampled.
+
+    Raises:
+        SceneError: The scene has what an ensemble does not serve; says what.
+    """
+    if is_of_particles(scene):
+        return sampled_particles(scene)
+    return _mechanism(scene)
 
 
 @dataclass(frozen=True)
@@ -57,17 +74,6 @@ class SampledScene:
     def is_small(self) -> bool:
         """Whether components are looked for unasked."""
         return bool(self.space.blocks) and self.space.size <= _MOST
-
-
-def sampled_scene(scene: Any) -> SampledScene:
-    """What of a scene is sampled.
-
-    Raises:
-        SceneError: The scene has what an ensemble does not serve; says what.
-    """
-    if is_of_particles(scene):
-        return sampled_particles(scene)
-    return _mechanism(scene)
 
 
 def _mechanism(scene: Scene) -> SampledScene:
@@ -149,13 +155,6 @@ def _circular(position: Observable) -> tuple[Observable, ...]:
     )
 
 
-# ---- sampled particles ------------------------------------------------------------------------
-# Particles as what is sampled.
-
-
-_COMPARED = 7  # points of a molecule of which all pairs are compared
-
-
 def sampled_particles(scene: Any) -> SampledScene:
     """What of a scene of particles is sampled."""
     system, units = scene.system(), scene.units
@@ -234,3 +233,104 @@ def _plane(surfaces: list[SurfaceRow], atoms: int) -> Array | None:
     normals = np.array([row.normal / np.linalg.norm(row.normal) for row in planes])
     is_one = len(planes) == atoms and np.allclose(np.abs(normals.dot(normals[0])), 1.0)
     return normals[0] if is_one else None
+
+
+def quantity(text: str, scene: SampledScene, where: str, name: str = "") -> Observable:
+    """The quantity of some words: `distance a b`, `cosine a b c`, .., or a joint.
+
+    Args:
+        text: The words.
+        scene: What is sampled.
+        where: File and key, for the messages.
+        name: As columns have it; by default that of the words.
+
+    Raises:
+        SceneError: Names what is wrong and what is accepted.
+    """
+    words = text.split()
+    if len(words) == 1:
+        return _coordinate(words[0], scene, where, name)
+    kind, rest = words[0] if words else "", words[1:]
+    if not scene.points or kind not in _POINTS:
+        accepted = _FORMS if scene.points else ", ".join(scene.space.names)
+        raise SceneError(f"{where}: '{text}' is no quantity, accepted: {accepted}")
+    count = _POINTS[kind]
+    numbers = rest[count:]
+    if len(rest) < count or len(numbers) != (3 if kind == "quadratic" else 0):
+        raise SceneError(f"{where}: '{text}', accepted: {_FORMS}")
+    points = [_point(word, scene, where) for word in rest[:count]]
+    if len(set(points)) < count:
+        raise SceneError(f"{where}: '{text}' names a particle twice")
+    label, unit = name or "_".join([kind, *rest[:count]]), scene.length
+    if kind == "distance":
+        return observables.distance(label, unit, *points)
+    if kind == "cosine":
+        return observables.cosine(label, *points)
+    if kind == "angle":
+        return observables.angle(label, *points)
+    if kind == "dihedral":
+        return observables.dihedral(label, points)
+    weights = [_number(word, text, where) for word in numbers]
+    return observables.quadratic(label, f"{unit}^2", points[0], weights)
+
+
+def _coordinate(word: str, scene: SampledScene, where: str, name: str) -> Observable:
+    names = list(scene.space.names)
+    if word not in names:
+        close = ", ".join(nearest(word, names) or names[:6])
+        raise SceneError(f"{where}: '{word}' is no quantity, the nearest: {close}")
+    if scene.points:
+        return observables.coordinate(name or word, scene.length, names.index(word))
+    return scene.defaults[names.index(word)]._replace(name=name or f"{word}.position")
+
+
+def _point(word: str, scene: SampledScene, where: str) -> int:
+    if word not in scene.points:
+        close = ", ".join(nearest(word, list(scene.points)) or scene.points[:6])
+        raise SceneError(f"{where}: there is no particle '{word}', the nearest: {close}")
+    return list(scene.points).index(word)
+
+
+def _number(word: str, text: str, where: str) -> float:
+    try:
+        found = float(word)
+    except ValueError:
+        found = float("nan")
+    if not abs(found) < 1.0e30:
+        raise SceneError(f"{where}: '{text}': '{word}' is no number")
+    return found
+
+
+def row_swept(
+    space: ParticleSpace, name: str, unit: str
+) -> tuple[Observable, ParticleSpace] | None:
+    """A row of particles as the coordinate along which forces are averaged.
+
+    Gives what the row holds, and the space without that row; None where no row has the name.
+
+    Args:
+        space: The space.
+        name: Of a row of a molecule of which there is one.
+        unit: Word for its lengths.
+    """
+    first = 0
+    for k, kind in enumerate(space.kinds):
+        for row in kind.rows:
+            if kind.count == 1 and row.name == name:
+                rest = replace(kind, rows=tuple(one for one in kind.rows if one is not row))
+                kinds = [*space.kinds[:k], rest, *space.kinds[k + 1 :]]
+                return _held(row, first, unit), ParticleSpace(kinds, space.pair_forces)
+        first += kind.size
+    return None
+
+
+def _held(row: PointRow, first: int, unit: str) -> Observable:
+    if isinstance(row, DistanceRow):
+        return observables.distance(row.name, unit, first + row.i, first + row.j)
+    a, n, c = (part[:, None] for part in (row.squares, row.normal, row.center))
+
+    def of(x: Array) -> Array:
+        level: Array = ((a * (x - c) + n) * (x - c)).sum(axis=0)
+        return level
+
+    return Observable(row.name, "", observables.point(first + row.i), of)

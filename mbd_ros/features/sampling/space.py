@@ -1,5 +1,7 @@
 """What is sampled: configurations of many chains at once, their rows and their energy."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, Protocol
 
@@ -9,43 +11,9 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import Array
 from mbd_ros.features.sampling.observables import Observable
 
-# ---- space ------------------------------------------------------------------------------------
-# What is sampled: configurations of many chains at once, their rows and their energy.
-
-
 Marks = NDArray[np.bool_]
-
-
-class Block(Protocol):
-    """Rows that see some of the coordinates only, the same for every copy of a molecule.
-
-    Attributes:
-        coordinates: Which ones, shape (size, copies); None for all, one copy.
-        copies: How many.
-        rows: Names of the rows of one copy, m of them.
-    """
-
-    @property
-    def coordinates(self) -> Any:
-        """See the attributes of the class."""
-
-    @property
-    def copies(self) -> int:
-        """See there."""
-
-    @property
-    def rows(self) -> Sequence[str]:
-        """See there."""
-
-    def residual(self, x: Array) -> Array:
-        """g, shape (m, n).
-
-        Args:
-            x: Coordinates of the block, shape (size, n); n counts copies and chains.
-        """
-
-    def jacobian(self, x: Array) -> Array:
-        """dg/dx, shape (m, size, n)."""
+_APART = 1.0e-5  # of the scale: steps of differences of a potential
+_LOOPED = 4  # rows up to which a loop over them costs less than a call a matrix
 
 
 class Space(Protocol):
@@ -83,8 +51,48 @@ class Space(Protocol):
         """
 
 
-# ---- held space -------------------------------------------------------------------------------
-# A space in which one quantity is held, beside the rows that it has.
+class Block(Protocol):
+    """Rows that see some of the coordinates only, the same for every copy of a molecule."""
+
+    @property
+    def coordinates(self) -> NDArray[np.intp] | None:
+        """Numbers of its coordinates, shape (size, copies); None for all, one copy."""
+
+    @property
+    def copies(self) -> int:
+        """How many copies there are."""
+
+    @property
+    def rows(self) -> Sequence[str]:
+        """Names of the rows of one copy, m of them."""
+
+    def residual(self, x: Array) -> Array:
+        """g, shape (m, n).
+
+        Args:
+            x: Coordinates of the block, shape (size, n); n counts copies and chains.
+        """
+
+    def jacobian(self, x: Array) -> Array:
+        """dg/dx, shape (m, size, n)."""
+
+
+class HeldSpace:
+    """A `Space` in which one quantity is held, beside the rows that it has.
+
+    Args:
+        space: The space, with constant masses.
+        held: The quantity.
+        level: Its value.
+    """
+
+    has_constant_masses = True
+
+    def __init__(self, space: Space, held: Observable, level: float) -> None:
+        self.names, self.size, self.mass = space.names, space.size, space.mass
+        self.scale, self.potential, self.force = space.scale, space.potential, space.force
+        self.volume = space.volume
+        self.blocks = (HeldRows(space, held, level),)
 
 
 class HeldRows:
@@ -137,33 +145,8 @@ class HeldRows:
         return J
 
 
-class HeldSpace:
-    """See the module and `space.Space`.
-
-    Args:
-        space: The space, with constant masses.
-        held: The quantity.
-        level: Its value.
-    """
-
-    has_constant_masses = True
-
-    def __init__(self, space: Space, held: Observable, level: float) -> None:
-        self.names, self.size, self.mass = space.names, space.size, space.mass
-        self.scale, self.potential, self.force = space.scale, space.potential, space.force
-        self.volume = space.volume
-        self.blocks = (HeldRows(space, held, level),)
-
-
-# ---- weighted space ---------------------------------------------------------------------------
-# A space whose density of configurations stands in its potential, so that masses are constant.
-
-
-_APART = 1.0e-5  # of the scale: steps of differences
-
-
 class WeightedSpace:
-    """A space with the potential V - kT ln(density); see `space.Space`.
+    """A `Space` with the potential V - kT ln(density).
 
     With the constant masses its configurations have the density that they have with those of the
     kinetic energy, so that what holds for constant masses holds for it.
@@ -203,13 +186,6 @@ class WeightedSpace:
     def volume(self, q: Array, *, fixman: bool) -> Array:
         """0: nothing is left for it, shape (chains,)."""
         return np.zeros(q.shape[1])
-
-
-# ---- small matrices ---------------------------------------------------------------------------
-# Many small matrices at once, those of one chain after the other along the last axis.
-
-
-_LOOPED = 4  # rows up to which a loop over them costs less than a call a matrix
 
 
 def solve(A: Array, b: Array) -> Array:

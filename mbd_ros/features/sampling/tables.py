@@ -9,6 +9,14 @@ from mbd_ros.features.sampling.mean_force import Average, Histogram, MeanForce, 
 from mbd_ros.files.table import Column, Table
 
 AVERAGES, HISTOGRAM, CHAINS, PROFILE = "averages", "histogram.", "chains", "profile"
+_AVERAGE = (  # columns of an average, and whether they have the unit of the quantity
+    ("mean", True),
+    ("standard_error", True),
+    ("standard_deviation", True),
+    ("autocorrelation_time", False),
+    ("effective_samples", False),
+    ("split_rhat", False),
+)
 
 
 def sample_table(values: Array, names: Sequence[str], units: Sequence[str]) -> Table:
@@ -35,16 +43,6 @@ def average_table(found: Mapping[str, Average], units: Sequence[str]) -> Table:
         for value, (word, has_unit) in zip(one, _AVERAGE, strict=True):
             columns.append(Column(f"{name}.{word}", np.array([value]), unit if has_unit else ""))
     return Table(columns)
-
-
-_AVERAGE = (
-    ("mean", True),
-    ("standard_error", True),
-    ("standard_deviation", True),
-    ("autocorrelation_time", False),
-    ("effective_samples", False),
-    ("split_rhat", False),
-)
 
 
 def histogram_table(found: Histogram, unit: str) -> Table:
