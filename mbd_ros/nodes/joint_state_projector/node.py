@@ -37,7 +37,7 @@ class JointStateProjectorNode(Shell):
     def build(self, description: str | None) -> None:
         """Build the scene."""
         self._pipeline = ProjectorPipeline(self.parameters, description)
-        self._failures = 0
+        self._stream.failures = 0
 
     def configure_core(self) -> None:
         """Build the scene and its topics."""
@@ -62,7 +62,6 @@ class JointStateProjectorNode(Shell):
     def forget(self) -> None:
         """Empty filters; missing joints start from the initial state of the scene again."""
         self._pipeline.forget()
-        self._failures = 0
 
     def retune(self, values: Any) -> None:
         """New tuning; filters start again."""
@@ -82,20 +81,14 @@ class JointStateProjectorNode(Shell):
         try:
             answer = self._pipeline.answer(stamp, sample)
         except SolveError as error:
-            self._drop_unsolved(error)
+            self._stream.drop_unsolved(error)
             return None
         if isinstance(answer, SampleStatus):
             return answer
-        self._failures = 0
+        self._stream.failures = 0
         self._states.publish(answer.states)
         if answer.forces is not None:
             self._forces.publish(answer.forces)
         self._violation.publish(answer.violation)
         self._stream.note_answer(stamp)
         return None
-
-    def _drop_unsolved(self, error: SolveError) -> None:
-        self._failures += 1
-        if self._failures >= self.parameters.failures:
-            raise SolveError(f"{self._failures} joint states in a row: {error}") from error
-        self._stream.drop("unsolved", f"joint_states: {error}")

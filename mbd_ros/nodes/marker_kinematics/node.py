@@ -41,12 +41,13 @@ class MarkerKinematicsNode(Shell):
             sample="array of markers",
             topic=TOPIC,
             stamped="markers",
+            plural="messages",
         )
 
     def build(self, description: str | None) -> None:
         """Build the scene."""
         self._pipeline = MarkerPipeline(self.parameters, description)
-        self._failures = 0
+        self._stream.failures = 0
 
     def configure_core(self) -> None:
         """Build the scene and its topics."""
@@ -70,7 +71,6 @@ class MarkerKinematicsNode(Shell):
     def forget(self) -> None:
         """Empty filters; the next frame is sought from the default pose."""
         self._pipeline.forget()
-        self._failures = 0
 
     def retune(self, values: Any) -> None:
         """New tuning; filters start again."""
@@ -101,18 +101,12 @@ class MarkerKinematicsNode(Shell):
         try:
             answer = self._pipeline.answer(stamp, places)
         except SolveError as error:
-            self._drop_unsolved(error)
+            self._stream.drop_unsolved(error)
             return None
         if isinstance(answer, SampleStatus):
             return answer
-        self._failures = 0
+        self._stream.failures = 0
         self._states.publish(answer.states)
         self._residuals.publish(answer.residuals)
         self._stream.note_answer(stamp)
         return None
-
-    def _drop_unsolved(self, error: SolveError) -> None:
-        self._failures += 1
-        if self._failures >= self.parameters.failures:
-            raise SolveError(f"{self._failures} messages in a row: {error}") from error
-        self._stream.drop("unsolved", f"{TOPIC}: {error}")

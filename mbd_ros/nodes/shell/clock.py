@@ -83,7 +83,7 @@ class SimulatedClock:
             self._node.create_timer(LOOK, self._watch.look, clock=self._steady)
 
     def silence(self, timeout: float) -> float:
-        """As that of `ClockWatch`."""
+        """For how long it has been silent [s], as `ClockWatch.silence` says."""
         return self._watch.silence(timeout)
 
     def fault(self, timeout: float) -> str:

@@ -10,6 +10,7 @@ from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
 from mbd_ros.core.state import NANOSECOND
+from mbd_ros.errors import MbdError, SolveError
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.shell.clock import SimulatedClock
 from mbd_ros.nodes.shell.robot_description import RobotDescription
@@ -47,8 +48,10 @@ class JointStateStream:
         sample: What is answered.
         topic: Where that comes from.
         stamped: Whose stamps count.
+        plural: Of the samples, for messages.
 
     Attributes:
+        failures: Samples in a row that had no solution; a node sets it to 0 where one has.
         loss: Which share of the samples of the last second was dropped; empty if it was small.
     """
 
@@ -62,10 +65,12 @@ class JointStateStream:
         sample: str = "joint state",
         topic: str = "joint_states",
         stamped: str = "joint states",
+        plural: str = "joint states",
     ) -> None:
         self._node, self._description = node, description
         self._pipeline, self._forget = pipeline, forget
         self._sample, self._topic, self._stamped = sample, topic, stamped
+        self._plural, self.failures = plural, 0
         self._newest, self._answered, self._is_stampless = 0, 0, False
         self._dropped, self.loss = 0, ""
         self._mark()
@@ -102,7 +107,8 @@ class JointStateStream:
     def restart(self) -> None:
         """Empty filters and forget all answers: at activation, ~/reset and jumps of time."""
         self._simulated.hear()
-        self._newest, self._answered, self._agreed = 0, 0, _NEVER
+        self._newest, self._answered, self.failures = 0, 0, 0
+        self._agreed = _NEVER
         self._two_clocks = self._last_drop = ""
         self._mark()
         self._moved = self._heard
@@ -148,6 +154,17 @@ class JointStateStream:
         self._mark()
         if is_new:
             self._moved = self._heard
+
+    def drop_unsolved(self, error: MbdError) -> None:
+        """Count a sample that has no solution.
+
+        Raises:
+            SolveError: As many in a row have none as the parameter failures says.
+        """
+        self.failures += 1
+        if self.failures >= self._node.parameters.failures:
+            raise SolveError(f"{self.failures} {self._plural} in a row: {error}") from error
+        self.drop("unsolved", f"{self._topic}: {error}")
 
     def drop(self, reason: str, text: str) -> None:
         """Count a sample that is not answered."""

@@ -48,7 +48,7 @@ class StateEstimatorNode(Shell):
     def build(self, description: str | None) -> None:
         """Build the scene."""
         self._pipeline = EstimatorPipeline(self.parameters, description, self.parameters.lag)
-        self._failures = 0
+        self._stream.failures = 0
 
     def configure_core(self) -> None:
         """Build the scene and its topics."""
@@ -87,7 +87,6 @@ class StateEstimatorNode(Shell):
     def forget(self) -> None:
         """The next joint state is the first one."""
         self._pipeline.forget()
-        self._failures = 0
 
     def health(self) -> tuple[int, str, dict[str, str]]:
         """State of the stream, then of the estimate."""
@@ -105,9 +104,10 @@ class StateEstimatorNode(Shell):
         try:
             answer = ask()
         except (SolveError, DivergedError) as error:
-            self._drop_unsolved(error)
+            self._pipeline.forget()
+            self._stream.drop_unsolved(error)
             return None
-        self._failures = 0
+        self._stream.failures = 0
         if isinstance(answer, Taken):
             return SampleStatus.OLD if answer is Taken.OLD else None
         for one in answer:
@@ -165,10 +165,3 @@ class StateEstimatorNode(Shell):
                 self.drop("wrench", f"wrench '{name}': stamp not newer than the last")
 
         return take
-
-    def _drop_unsolved(self, error: SolveError | DivergedError) -> None:
-        self._failures += 1
-        self._pipeline.forget()
-        if self._failures >= self.parameters.failures:
-            raise SolveError(f"{self._failures} joint states in a row: {error}") from error
-        self._stream.drop("unsolved", f"joint_states: {error}")

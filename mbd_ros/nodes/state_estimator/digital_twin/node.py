@@ -31,7 +31,7 @@ class DigitalTwinNode(StateEstimatorNode):
     def build(self, description: str | None) -> None:
         """Build the scene."""
         self._pipeline = TwinPipeline(self.parameters, description)
-        self._failures = 0
+        self._stream.failures = 0
 
     def configure_core(self) -> None:
         """Build the scene and its topics."""
