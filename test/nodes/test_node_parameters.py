@@ -53,6 +53,13 @@ def row(parameter):
 
 
 @pytest.mark.parametrize("name", NODES)
+def test_a_node_class_is_at_most_three_levels_below_that_of_rclpy(name):
+    module, _, node = NODES[name].partition(":")
+    levels = getattr(import_module(module), node).__mro__
+    assert sum(level.__module__.startswith("mbd_ros.") for level in levels) <= 3
+
+
+@pytest.mark.parametrize("name", NODES)
 def test_no_parameter_is_lost_or_changes_its_type_default_range_or_when_it_may_change(name):
     """`parameters.json` holds what release 0.1.0 promises; new parameters are welcome."""
     now = {key: row(parameter) for key, parameter in declared(name).items()}

@@ -35,9 +35,7 @@ def guesses_of(
     """Straight lines from the start to the end of each phase, and what a task says instead.
 
     Args:
-        phases: The phases.
         first: Where the scene starts, in what is integrated.
-        task: The task.
         recording: Of the motion, which takes the place of straight lines.
         modes: The systems of the phases.
 
@@ -114,10 +112,7 @@ def write_recorded(
     """Put a recorded motion in place, and the least inputs that lead along it.
 
     Args:
-        phase: The phase.
-        system: Its system.
         motion: The guess, which is changed.
-        recording: The recording.
     """
     mesh, nodes, points = motion.mesh, motion.nodes, motion.points
     for shares, found in ((mesh.knots, nodes), (mesh.shares, points)):
@@ -151,7 +146,6 @@ def _write_lines(
     """Put lines of a guess in place, with the velocities that belong to them.
 
     Args:
-        phase: The phase.
         motion: Its guess, which is changed.
         lines: Quantity -> values at equal times of the whole motion.
         part: Where in the whole motion the phase is.

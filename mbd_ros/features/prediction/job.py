@@ -47,7 +47,6 @@ def predict(
     """The motion that costs least, between what bounds and equations of motion let it be.
 
     Args:
-        scene: The scene.
         task: A task file with a section `predict`, or its keys; see docs/prediction.md.
         say: Is called with each line for people; without it the lines are
             `metadata["remarks"]`.
@@ -191,7 +190,6 @@ def predict_to(
     """Find a motion, and write it where a place is given; the last iterate where there is none.
 
     Args:
-        scene: The scene.
         task: Task file.
         out: The motion; its suffix chooses the format.
         say: Is told what was found, a line each.

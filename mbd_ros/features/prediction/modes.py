@@ -66,7 +66,6 @@ class PhaseMode(NamedTuple):
 
     Attributes:
         number: Of the phase in the scene.
-        system: Its system.
         mode: Of rows that give way: all of them are off.
         phased: The systems of all phases; None where a scene has none.
     """
@@ -192,7 +191,6 @@ def driven(scene: Scene, by: DrivenBy = "scene", bounded: Iterable[str] = ()) ->
     """The scene with what drives it.
 
     Args:
-        scene: The scene.
         by: `scene`: what it has; without any input an ideal drive in every independent joint.
             `joints`: these drives, and wrenches on free bases, in place of muscles and actuators.
             `muscles`: the same beside its muscles, with smooth curves and rigid tendons.
@@ -240,7 +238,6 @@ class Driven(NamedTuple):
     """A scene with what drives it.
 
     Attributes:
-        scene: The scene.
         residuals: Names of the wrenches that drive its free bases.
     """
 

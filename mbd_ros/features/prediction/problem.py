@@ -89,7 +89,6 @@ class Problem(NamedTuple):
 
     Attributes:
         scene: The scene, driven.
-        program: The program.
         guesses: Of each phase.
         parameters: Values to begin with.
         modes: The systems of the phases.
@@ -249,8 +248,6 @@ def traceable(scene: Scene, task: PredictTask, recording: Recording | None = Non
     for has no symbols.
 
     Args:
-        scene: The scene.
-        task: The task.
         recording: Of the motion; None without one.
 
     Returns:

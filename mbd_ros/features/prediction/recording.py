@@ -244,7 +244,6 @@ class References:
     """What goals track, from files.
 
     Args:
-        scene: The scene.
         recording: Of the motion, whose clock all files have; None without one: each begins with
             the motion then.
         motion: Its file.

@@ -95,7 +95,6 @@ def simulation_of(
     """A simulation of a scene under the inputs of a motion, a thousand times finer than it.
 
     Args:
-        scene: The scene.
         motions: Of the phases.
         error: Between nodes, relative.
         samples: How many of the longest phase it gives.

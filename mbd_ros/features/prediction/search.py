@@ -55,8 +55,6 @@ def search(scene: Scene, task: PredictTask, say: Say, where: Where = HERE) -> li
     """The solutions along the continuation of a task; one without.
 
     Args:
-        scene: The scene.
-        task: The task.
         say: Is told a line a mesh.
         where: Where several starts are tried.
 
@@ -114,7 +112,6 @@ def best_of(
 
     Args:
         problem: What is solved.
-        task: The task.
         say: Is told a line a mesh, or a line a start.
         where: Where they are tried.
     """
@@ -217,7 +214,6 @@ def where_of(scene: Scene, task: Any, workers: int | None, scheduler: str | None
     """Where starts of a task are tried: here, if a worker could not read scene and task.
 
     Args:
-        scene: The scene.
         task: Task file, or keys of its section.
         workers: How many processes; None for one a core.
         scheduler: Of a Dask cluster.

@@ -45,7 +45,6 @@ def with_smooth_muscles(scene: Scene, more: Mapping[str, Any] = _NOTHING) -> tup
     """A scene whose muscles are `degroote_fregly`, with sizes and times of those it had.
 
     Args:
-        scene: The scene.
         more: Arguments that all of them get besides, such as `tendon`.
 
     Returns:
@@ -83,7 +82,6 @@ def with_fitted_paths(
     """A scene whose paths that wrap are polynomials of joints, fitted between limits of joints.
 
     Args:
-        scene: The scene.
         limits: Independent joint -> its range.
 
     Returns:
@@ -126,7 +124,6 @@ class _Fitter:
     """Fits paths of a scene.
 
     Args:
-        scene: The scene.
         limits: As for `with_fitted_paths`.
     """
 

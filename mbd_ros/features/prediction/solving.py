@@ -57,7 +57,6 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Found:
 
     Args:
         problem: What is solved.
-        task: The task.
         say: Is told a line a mesh.
     """
     with interruptible() as interruption:
@@ -283,7 +282,6 @@ def solved_from(
     Args:
         problem: What is solved.
         begin: What the program begins with.
-        task: The task.
         tell: See `MotionProgram.solve`.
         say: Is told where another guess is tried.
     """
@@ -459,9 +457,7 @@ class Passing(NamedTuple):
     """A bound that is passed between nodes.
 
     Attributes:
-        name: Of the quantity.
         side: -1 for the lower bound, 1 for the upper one.
-        bound: The bound.
         time: Where it is passed furthest [s].
         by: How far there.
         relative: The same, relative to 1 + the largest value.

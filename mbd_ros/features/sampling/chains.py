@@ -56,8 +56,6 @@ class Asked:
     """A scene, a task for it, and all that both give.
 
     Args:
-        scene: The scene.
-        task: The task.
         where: File and key of the task, for messages.
 
     Raises:
@@ -276,7 +274,6 @@ def begun(ensemble: Ensemble, plan: Plan, number: int, q: Array) -> Checkpoint:
     """A block of chains after its warm-up.
 
     Args:
-        ensemble: The ensemble.
         plan: How it is sampled.
         number: Of the block.
         q: Starts on the rows, shape (size, chains of the block).
@@ -308,7 +305,6 @@ def gone_on(
     """Samples of a block of chains from where it stands.
 
     Args:
-        ensemble: The ensemble.
         plan: How it is sampled.
         number: Of the block.
         start: Where it stands.
@@ -389,7 +385,6 @@ def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkp
     """Where all blocks of a run stand.
 
     Args:
-        path: The file.
         sizes: Coordinates and chains of each block of the run that goes on.
 
     Raises:

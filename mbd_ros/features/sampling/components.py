@@ -231,7 +231,6 @@ def random_starts(ensemble: Ensemble, q: Array, count: int, seed: int) -> Array:
     """Configurations on the rows, far from a given one, shape (size, at most count).
 
     Args:
-        ensemble: The ensemble.
         q: The given one, shape (size,).
         count: How many are looked for.
         seed: Of the random numbers.

@@ -21,7 +21,6 @@ class Ensemble:
     """exp(-H / kT) of configurations that keep rows and of velocities along them.
 
     Args:
-        space: The space.
         kT: Thermal energy, in the unit of its energies, > 0.
         fixman: Whether 1/2 kT ln det J M^-1 J' is added to the potential: configurations are then
             those of very stiff springs in place of the rows. Source: M. Fixman, PNAS 71, 1974,
@@ -121,7 +120,6 @@ class Metropolis:
     T. Lelievre, M. Rousset, G. Stoltz, Numer. Math. 143, 2019, 379.
 
     Args:
-        ensemble: The ensemble.
         dt: Step.
     """
 
@@ -237,7 +235,6 @@ def degrees_of_freedom(space: Space, q: Array, conserved: int = 0) -> int:
     """Number of coordinates less the rank of the rows and what else is conserved.
 
     Args:
-        space: The space.
         q: A configuration, shape (size,).
         conserved: Momenta that nothing changes: 3 where the centre of mass keeps its velocity.
     """
@@ -260,9 +257,7 @@ def kinetic_after_step(ensemble: Ensemble, at: Walkers, h: float) -> Array:
     h^2/8 f . M^-1 f, f = J' lam.
 
     Args:
-        ensemble: The ensemble.
         at: States before the step.
-        h: The step.
     """
     after, unprojected = ensemble.step(at, h)
     return np.array([ensemble.kinetic(after.v), ensemble.kinetic(unprojected)])

@@ -263,7 +263,6 @@ def sample_to(
     """Sample an ensemble, and write it where a place is given.
 
     Args:
-        scene: The scene.
         task: Task file; None for entries alone.
         changed: Entries of the section `sample` that replace those of the file.
         out: Where samples go; its suffix chooses the format.

@@ -27,7 +27,6 @@ class JointSpace:
         walls: Conditions that every configuration meets, as one-sided stops.
 
     Attributes:
-        system: As given.
         names: Of the coordinates.
         size: How many.
         mass: Of the velocities that are drawn.
@@ -113,9 +112,6 @@ class JointSpace:
 
 class JointRows:
     """Loops of a mechanism.
-
-    Args:
-        system: The system.
 
     Attributes:
         coordinates: None: all of them.

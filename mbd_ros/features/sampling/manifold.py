@@ -18,11 +18,7 @@ _APART = 1.0e-5  # of the scale: steps of differences of Jacobians
 class Manifold:
     """All configurations of a space that keep its rows.
 
-    Args:
-        space: The space.
-
     Attributes:
-        space: As given.
         parts: Its blocks.
     """
 
@@ -68,7 +64,6 @@ class BlockRows:
     """The rows of a block in the metric of masses.
 
     Args:
-        block: The block.
         mass: Masses of all coordinates, shape (size of the space,).
         scale: A usual length.
     """

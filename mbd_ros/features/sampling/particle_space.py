@@ -21,8 +21,6 @@ class ParticleSpace:
         pair_forces: Forces between points; None without any.
 
     Attributes:
-        kinds: As given.
-        pair_forces: As given.
         names: x, y and z of every point.
         size: Three times the number of points.
         mass: Of every coordinate.

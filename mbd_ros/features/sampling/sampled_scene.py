@@ -239,7 +239,6 @@ def quantity(text: str, scene: SampledScene, where: str, name: str = "") -> Obse
     """The quantity of some words: `distance a b`, `cosine a b c`, .., or a joint.
 
     Args:
-        text: The words.
         scene: What is sampled.
         where: File and key, for the messages.
         name: As columns have it; by default that of the words.
@@ -309,7 +308,6 @@ def row_swept(
     Gives what the row holds, and the space without that row; None where no row has the name.
 
     Args:
-        space: The space.
         name: Of a row of a molecule of which there is one.
         unit: Word for its lengths.
     """

@@ -83,7 +83,6 @@ class HeldSpace:
     Args:
         space: The space, with constant masses.
         held: The quantity.
-        level: Its value.
     """
 
     has_constant_masses = True
@@ -99,9 +98,7 @@ class HeldRows:
     """All rows of a space and, last, that of the held quantity.
 
     Args:
-        space: The space.
         held: The quantity.
-        level: Its value.
 
     Attributes:
         coordinates: None: all of them.

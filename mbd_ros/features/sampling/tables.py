@@ -24,8 +24,6 @@ def sample_table(values: Array, names: Sequence[str], units: Sequence[str]) -> T
 
     Args:
         values: Shape (quantities, chains, samples).
-        names: Of the quantities.
-        units: Of the quantities.
     """
     _, chains, samples = values.shape
     columns = [

@@ -45,8 +45,6 @@ def step_warnings(
     """Warnings of the step; none for methods that choose their steps.
 
     Args:
-        system: The system.
-        method: Its integrator.
         dt: Step [s].
         states: States of all joints, one a step.
         events: What happened on the way: a velocity that jumps there is no doubt of the step.
@@ -135,7 +133,6 @@ def window_words(
     """The window of each contact at the start, and warnings of what was outside on the way.
 
     Args:
-        simulation: The simulation.
         parts: Its contacts that give way.
         states: States of all joints.
     """

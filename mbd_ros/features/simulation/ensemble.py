@@ -47,7 +47,6 @@ def ensemble_to(
     """Simulate from every row of a file and write one table, `run` and `time` first.
 
     Args:
-        scene: The scene.
         run: The order; duration and options count.
         path: Rows, see `read_starts`.
         out: A table; its suffix chooses the format.
@@ -168,7 +167,6 @@ def read_starts(scene: Scene, path: Path) -> Starts:
     """The rows of a CSV file; what has no column is that of the scene.
 
     Args:
-        scene: The scene.
         path: Has columns `<joint>.position`, `<joint>.velocity`, those of poses and twists of free
             bodies, internal states, and `<part>.<argument>` as `Scene.with_` takes them.
 
@@ -236,7 +234,6 @@ class Starts(NamedTuple):
 
     Attributes:
         names: Names of the parameters.
-        p: Their values.
         q: Configurations of all joints.
         v: Their velocities.
         z: Internal states, NaN for their equilibrium.

@@ -69,7 +69,6 @@ def simulate(
     Ctrl-C returns the motion so far, with the reason in `metadata["ended"]`.
 
     Args:
-        scene: The scene.
         duration: [s].
         start: Time at which the simulation begins [s].
         origin: Result or file whose joint state at `start` is the initial one, in place of that
@@ -280,8 +279,6 @@ def simulate_to(scene: Scene, run: Run, out: Path, say: Say, events: Path | None
     """Simulate and write the result.
 
     Args:
-        scene: The scene.
-        run: The order.
         out: Its suffix chooses the format.
         say: Is called with each line of the summary.
         events: Where the table of events goes by itself.

@@ -51,7 +51,6 @@ def simulate(
     Ctrl-C returns the motion so far, with the reason in `metadata["ended"]`.
 
     Args:
-        scene: The scene.
         duration: In the unit of time of the scene, as all numbers are in its units.
         dt: Step, in place of that of the scene.
         integrator: rattle or shake, in place of that of the scene.

@@ -73,7 +73,6 @@ def options_of(
     """Keyword arguments of `Scene.simulation`.
 
     Args:
-        scene: The scene.
         dt: Step, and interval of the output [s]; None: that of the scene, as below.
         integrator: Its type, or a whole entry.
         tolerance: Of that integrator, or else of that of the scene.
@@ -101,7 +100,6 @@ def method_entry(
     """Entry of the integrator that the options ask for; None leaves that of the scene.
 
     Args:
-        scene: The scene.
         integrator: Value of `--integrator`.
         tolerance: Value of `--tolerance`, for that integrator or else for that of the scene.
 

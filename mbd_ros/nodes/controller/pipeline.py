@@ -42,11 +42,9 @@ class ControlPipeline:
     """Scene and loop of a configured controller node.
 
     Args:
-        values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
 
     Attributes:
-        scene: The scene.
         loop: Reference, control law and guard.
         watch: Whether the loop does what its gains promise.
         observer: Judges joint states.

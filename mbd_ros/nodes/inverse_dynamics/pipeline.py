@@ -44,11 +44,9 @@ class Pipeline:
     """Scene and estimator of a configured node `inverse_dynamics`.
 
     Args:
-        values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
 
     Attributes:
-        scene: The scene.
         estimator: Samples to torques.
         joints: Which joints the newest joint state carried.
         reader: Serialized joint states to samples.
@@ -444,7 +442,6 @@ class PowerAnswer:
     """Serialized Float64MultiArray whose labels are names of powers.
 
     Args:
-        scene: The scene.
         solver: What solves its joint states.
     """
 

@@ -30,11 +30,9 @@ class ProjectorPipeline:
     """Scene and projector of a configured node `joint_state_projector`.
 
     Args:
-        values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
 
     Attributes:
-        scene: The scene.
         joints: Which joints the newest joint state carried.
         reader: Serialized joint states to samples.
         reconstructor: Samples to consistent states.

@@ -27,11 +27,9 @@ class MarkerPipeline:
     """Scene and solver of a configured node `marker_kinematics`.
 
     Args:
-        values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
 
     Attributes:
-        scene: The scene.
         solver: Fits the joints.
         joints: Labels of the newest message; reads messages.
     """

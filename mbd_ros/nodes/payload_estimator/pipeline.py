@@ -27,11 +27,9 @@ class PayloadPipeline:
     """Scene and estimator of a configured node `payload_estimator`.
 
     Args:
-        values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
 
     Attributes:
-        scene: The scene.
         frame: Link that carries the payload.
         joints: Which joints the newest joint state carried.
         reader: Serialized joint states to samples.
@@ -149,11 +147,7 @@ class Carried(NamedTuple):
 
 
 def _refuse(scene: Scene) -> None:
-    """Refuse scenes whose torques joint states do not tell.
-
-    Raises:
-        SceneError: Says why.
-    """
+    """Refuse scenes whose torques joint states do not tell."""
     why = "loops" if scene.has_loops else "free bases" if scene.robot.floating else ""
     why = why or ("external_wrenches" if scene.wrenches else "")
     if not why:

@@ -56,7 +56,6 @@ class SimulatedClock:
     """The clock of a simulation that a node lives by, if it lives by one.
 
     Args:
-        node: The node.
         steady: A clock that never stands.
     """
 

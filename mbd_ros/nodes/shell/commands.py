@@ -13,7 +13,6 @@ def command_reader(scene: Scene, order: Sequence[str]) -> CommandReader:
     """What reads the commands of a scene; a joint stands for its only actuator.
 
     Args:
-        scene: The scene.
         order: Of the values in vectors, by input or joint; empty: actuators, then muscles.
 
     Raises:

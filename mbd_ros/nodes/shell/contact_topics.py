@@ -25,9 +25,7 @@ class ContactTopics:
 
     Args:
         node: The publishing node.
-        live: The simulation.
         robot: The robot of the scene.
-        qos: Of the topics.
     """
 
     def __init__(self, node: Shell, live: LiveSimulation, robot: Robot, qos: QoSProfile) -> None:

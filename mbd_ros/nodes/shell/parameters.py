@@ -305,7 +305,6 @@ def argument_parameter(
 
     Args:
         argument: Kind, default, range, choices, unit and text.
-        name: Of the parameter.
         note: Sentences after the text.
         read_only: See `Parameter`.
     """

@@ -36,7 +36,6 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
     """Main of a node.
 
     Args:
-        node_class: The node.
         argv: Command line with program name; default `sys.argv`.
 
     Returns:
@@ -113,7 +112,6 @@ def asks_for_help(arguments: Sequence[str], name: str) -> bool:
 
     Args:
         arguments: Command line with program name.
-        name: Of the node.
 
     Raises:
         SystemExit: 2 after naming a word that is neither ROS's nor a wish for help.

@@ -39,7 +39,6 @@ class SensorMessage(NamedTuple):
     """How messages of a sensor look.
 
     Attributes:
-        sensor: The sensor.
         type: Of its messages.
         topic: That carries them.
         read: Numbers of a message; MessageError where it cannot be used.
@@ -57,7 +56,6 @@ def sensor_messages(robot: Robot, sensors: Sequence[Sensor]) -> tuple[SensorMess
     """Those of the sensors that have a topic of their own.
 
     Args:
-        robot: Robot of the scene.
         sensors: Sensors of the scene.
     """
     return tuple(_of(robot, sensor) for sensor in sensors if type(sensor) in _FOLDERS)

@@ -26,7 +26,6 @@ class Drawing:
         """MarkerArray of the newest state.
 
         Args:
-            live: The simulation.
             stamp: Header stamp [ns].
             length: Of an arrow, and height of a cone, per force [m/N].
 

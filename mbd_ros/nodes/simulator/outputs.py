@@ -84,7 +84,6 @@ class SimulatorOutputs:
 
         Args:
             stamp: [ns].
-            values: Parameters of the node.
         """
         plant = self._plant
         self.repeat(stamp)

@@ -25,7 +25,6 @@ class Pace:
 
     Attributes:
         due: When the next tick begins, on the clock of `perf_counter` [s].
-        factor: As given.
         overruns: Ticks that ended after the next one was due.
         given_up: By how much the grid was moved since the start [s].
     """

@@ -43,13 +43,11 @@ class Plant:
     """Scene and simulation of a configured node `simulator`.
 
     Args:
-        values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
         tell: Is told what takes time.
 
     Attributes:
         scene: The scene, with a load for every link that can be pushed.
-        live: The simulation.
         pushes: Which links these are.
         seed: Of the noise of sensors.
         reader: Messages to commands.

@@ -37,7 +37,6 @@ class SensorTopics:
         live: What is simulated.
         sensors: Of the scene.
         seed: Of the noise.
-        depth: Of the topics.
     """
 
     def __init__(

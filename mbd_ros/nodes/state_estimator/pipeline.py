@@ -33,7 +33,6 @@ class EstimatorPipeline:
     """Scene and estimator of a configured node `state_estimator`.
 
     Args:
-        values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
         lag: Time that estimates wait for later measurements [s].
 

@@ -33,8 +33,6 @@ class Leading:
     Args:
         node: The sending node.
         within: Name of a topic in the namespace of the robot.
-        scene: Its scene.
-        values: Parameters of the node.
         tell: Is told why nothing happens.
     """
 

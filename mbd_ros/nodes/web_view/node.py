@@ -227,9 +227,6 @@ class SimulatorClient:
         ask_of: Makes a client of a service of that type and name.
         name: Of the simulator, relative or absolute.
         tell: Is told the answers.
-
-    Attributes:
-        name: As given.
     """
 
     def __init__(

@@ -47,9 +47,7 @@ class RobotTopics:
     Args:
         node: The hearing node.
         namespace: Of its topics; empty for that of the node.
-        scene: Its scene.
         frames: What is drawn of it.
-        values: Parameters of the node.
 
     Attributes:
         q: Configuration, as far as it is known, shape (nq,).
@@ -214,7 +212,6 @@ class MeasuredLoads:
     """Hears all loads of a robot: external wrenches of the scene, and forces of contacts.
 
     Args:
-        scene: The scene.
         showing: What parts of it show.
         simulator: Node whose topics `~/..` are.
         newest: Makes what hears a topic.

@@ -34,7 +34,6 @@ class MusclePipeline(Pipeline):
     """Scene and solver of a configured node `muscle_forces`.
 
     Args:
-        values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
 
     Attributes:

@@ -37,7 +37,6 @@ class TwinPipeline(EstimatorPipeline):
     """Scene, estimator and watches of a configured node `digital_twin`.
 
     Args:
-        values: Parameters of the node.
         description: URDF, where the scene takes it from a topic.
 
     Attributes:
