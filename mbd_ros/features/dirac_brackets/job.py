@@ -19,8 +19,10 @@ if TYPE_CHECKING:
     from mbd_ros.features.dirac_brackets.dirac_bracket import DiracBracket
 
 CHECKS = "checks"
-_MOST, _SHOWN = 30, 8  # coordinates of a scene, and of a table for people
-_CHECKED, _WRITTEN = 12, 4  # coordinates up to which Jacobi's identity is checked; expressions
+_MOST = 30  # coordinates of a scene
+_SHOWN = 8  # coordinates up to which a table is shown to people
+_CHECKED = 12  # coordinates up to which Jacobi's identity is checked
+_WRITTEN = 4  # coordinates up to which expressions are told unasked
 _LONG = 160  # characters of an expression that nobody asked for
 
 

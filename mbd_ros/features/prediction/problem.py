@@ -45,7 +45,8 @@ _SHARES = np.linspace(0.0, 1.0, 200)  # of a recording, where its joints are loo
 _BESIDE = 0.5  # rad or m beyond what a task names of a joint without limits
 Changed = tuple[Scene, PredictTask, tuple[str, ...]]
 _OFF = 1.0e-2  # of the size of a quaternion: what rounding of digits may leave
-_FEW, _A_SECOND = 10, 25  # intervals of the first mesh
+_FEW = 10  # intervals of the first mesh
+_A_SECOND = 25  # intervals a second beside a recording
 
 
 def problem_of(scene: Scene, task: PredictTask) -> Problem:

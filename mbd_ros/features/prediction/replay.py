@@ -18,7 +18,8 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.simulation import build_simulation
 
 _SHARE = 1.0e-3  # of the error between nodes: what integration may add to it
-_LEAST, _MOST = 1.0e-12, 1.0e-7  # tolerances of integration
+_LEAST = 1.0e-12  # tolerance of integration
+_MOST = 1.0e-7  # tolerance of integration
 
 
 class Replay(NamedTuple):

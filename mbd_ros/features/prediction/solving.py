@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_program import Solution
 
 _ACCURATE = 1.0e-3  # error of a motion that is a guess
-_SAMPLES = 200
+_SAMPLES = 200  # of that motion
 _LARGEST = 1.0e3  # times the usual sizes: a motion that goes further is no guess
 _PATIENCE = 200  # iterations from a guess before another one is tried
 _LOST = (  # the solver found no way, which says nothing of the program
@@ -49,7 +49,9 @@ _PART = 0.1  # of what the worst bound of an interval saves: less does not matte
 STOPPED = "User_Requested_Stop"
 _LEAST = 1.0e-9  # of the usual size of a cost: less is none
 _CLOSE = 1.0e-2  # error with which a solution beside a recording leads to that of another mesh
-_STAYING, _ALIKE, _NEAR = 40, 1.0e-4, 1.0e-3  # iterations, their costs, their violations
+_STAYING = 40  # iterations that go to and fro
+_ALIKE = 1.0e-4  # relative difference of their costs
+_NEAR = 1.0e-3  # largest violation in them
 
 
 def solve(problem: Problem, task: PredictTask, say: Say) -> Found:

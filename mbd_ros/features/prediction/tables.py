@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from mbd_ros.optimal_control.motion_phase import MotionPhase
     from mbd_ros.optimal_control.motion_program import Solution
 
-GOALS, NODES, CONTINUATION, STARTS = "goals", "nodes", "continuation", "starts"
+GOALS = "goals"
+NODES = "nodes"
+CONTINUATION = "continuation"
+STARTS = "starts"
 SHOWN = 240  # intervals of the samples of a phase
 _PLANAR = 3  # joints to the ground, from which on a body moves freely
 _NO_MASS = 1.0e-6  # of all

@@ -42,13 +42,17 @@ from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.progress import progress
 
 _KEYS = ("q", "v", "sweeps", "dt")  # of a checkpoint in a file, beside the number of a block
-_LARGEST, _FEWEST = 256, 2  # chains of a block; blocks of a run with few chains
+_LARGEST = 256  # chains of a block
+_FEWEST = 2  # blocks of a run
 _WISHED = 0.9  # acceptance
-_FIRST, _USUAL = 0.1, 0.05  # steps, in times a particle of kT takes for the scale of the space
+_USUAL = 0.05  # step, in times that a particle of kT takes for the scale of the space
+_FIRST = 0.1  # the same, where the step is looked for
 _LOST = 0.025  # friction times the step
-_QUICK, _FADING = 1.0, 0.6  # how a step is changed while it is looked for
+_QUICK = 1.0  # gain with which a step is changed while it is looked for
+_FADING = 0.6  # exponent with which the gain falls
 Measure = Callable[[Walkers], Array]  # shape (quantities, chains)
-_STEPS_OF_POINTS, _STEPS_OF_JOINTS = 5, 20  # from sample to sample
+_STEPS_OF_POINTS = 5  # from sample to sample
+_STEPS_OF_JOINTS = 20  # from sample to sample
 _WAY = 40  # steps in which a held quantity is brought to its value
 
 

@@ -10,7 +10,8 @@ from mbd_ros.features.sampling.tables import HISTOGRAM, PROFILE
 from mbd_ros.files.plot import Picture
 from mbd_ros.files.table import Result, Table
 
-_WIDTH, _HEIGHT = 4.0, 3.2  # in, of each panel
+_WIDTH = 4.0  # in, of each panel
+_HEIGHT = 3.2  # in
 _MOST = 6  # panels
 
 

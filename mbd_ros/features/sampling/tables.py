@@ -8,7 +8,10 @@ from mbd_ros.core.state import Array
 from mbd_ros.features.sampling.mean_force import Average, Histogram, MeanForce, Profile
 from mbd_ros.files.table import Column, Table
 
-AVERAGES, HISTOGRAM, CHAINS, PROFILE = "averages", "histogram.", "chains", "profile"
+AVERAGES = "averages"
+HISTOGRAM = "histogram."  # before the name of a quantity
+CHAINS = "chains"
+PROFILE = "profile"
 _AVERAGE = (  # columns of an average, and whether they have the unit of the quantity
     ("mean", True),
     ("standard_error", True),

@@ -25,7 +25,8 @@ TRAJECTORY = "trajectory_msgs/msg/JointTrajectory"
 LOOK = 0.1  # s
 _RATE = 20.0  # points a second
 _LONGEST = 0.95 * MOST_POINTS / _RATE  # s
-_REACH, _SPEED = 0.3, 0.3  # shares of the room to the limits and of the velocity limits
+_REACH = 0.3  # share of the room to the position limits
+_SPEED = 0.3  # share of the velocity limits
 
 
 class ReferencePlayer(Shell):

@@ -13,7 +13,8 @@ import yaml
 
 from mbd_ros.nodes.shell.parameters import Parameter
 
-_INDENT, _WIDTH = "    ", 99
+_INDENT = "    "
+_WIDTH = 99  # characters of a line
 
 
 def lines(node: str, parameters: Sequence[Parameter]) -> Iterator[str]:

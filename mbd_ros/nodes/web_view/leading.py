@@ -21,7 +21,8 @@ from msg_adapters.wrench import write_wrench
 
 _REFERENCE = "/reference"
 _DEPTH = 10
-_TIMES, _AGAIN = 2, 1.0  # that a reference is sent, and s in between
+_TIMES = 2  # that a reference is sent
+_AGAIN = 1.0  # s in between
 
 
 class Leading:

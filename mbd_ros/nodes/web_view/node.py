@@ -32,7 +32,8 @@ from msg_adapters.diagnostics import ERROR, OK, STALE, WARN, read_diagnostics
 _TRIGGERS = ("reset", "step")
 _PAUSES = {"pause": True, "run": False}
 _SILENT = 1.0  # s without joint states that are reported
-_REPORTS, _LONGEST = 50, 300  # nodes whose diagnostics are shown, and characters of each
+_REPORTS = 50  # nodes whose diagnostics are shown
+_LONGEST = 300  # characters of each
 _REACHED = "real-time factor reached"  # in diagnostics of simulators
 _LEVELS = {OK: "ok", WARN: "WARN", ERROR: "ERROR", STALE: "STALE"}
 
