@@ -1,4 +1,7 @@
-"""States in, commands out: what stands between a control law and the drives."""
+"""A control loop: states in, commands out, between a control law and the drives.
+
+Before a command leaves it is checked: it must be finite, and within the reach of the drives.
+"""
 
 import math
 from collections.abc import Sequence
@@ -9,13 +12,13 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
-from mbd_ros.features.control.loop_watch import ChatterMeter, LoopWatch
+from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.loop_watch import LoopWatch
 from mbd_ros.features.control.reference import ReferenceGenerator
 from mbd_ros.methods.control.contract import Control, Controller, EffortBox, Reference
 from mbd_ros.methods.simulation.live_simulation import SafeCommand
 
-# ---- command guard ----------------------------------------------------------------------------
-# The last check before a command leaves: finite, and within the reach of the drives.
+_ROUNDING = 1.0e-9  # share of a hand-over that comes of adding steps
 
 
 class Guard:
@@ -27,8 +30,7 @@ class Guard:
         rate: Largest change of it [N·m/s or N/s], > 0, one for all joints; inf without a limit.
 
     Attributes:
-        limit: As given.
-        rate: As given; may change at any time.
+        rate: May change at any time.
     """
 
     def __init__(self, names: Sequence[str], limit: Array, rate: float = math.inf) -> None:
@@ -69,13 +71,6 @@ class Guard:
         return admitted, admitted != effort
 
 
-# ---- control loop -----------------------------------------------------------------------------
-# States in, commands out: what stands between a control law and the drives.
-
-
-_ROUNDING = 1.0e-9  # a share of that size comes of adding steps
-
-
 class Command(NamedTuple):
     """The command that is sent, and its cause.
 
@@ -105,7 +100,6 @@ class ControlLoop:
 
     Args:
         controller: The control law; may be replaced between updates by one for the same joints.
-        generator: The reference.
         guard: Limits.
         safe: The safe command, which acts while the control is not trusted.
         ramp: Duration of a hand-over [s], >= 0.
@@ -114,18 +108,13 @@ class ControlLoop:
         watch: Tells when the loop is lost; None trusts it.
 
     Attributes:
-        controller: See above.
-        generator: See above.
-        guard: See above.
-        ramp: See above; may change at any time.
-        longest: See above; may change at any time.
+        ramp: May change at any time.
+        longest: May change at any time.
         weight: Share of the safe command, 0 .. 1.
         is_open: Whether no state was answered since the start, or the last lapse or stop.
         is_frozen: Whether nobody hears the commands. The memory of the control law
             then stands still, as while the safe command takes part: it must not learn from
             commands that it did not give.
-        chatter: See above.
-        watch: See above.
         control: The newest answer of the control law.
         lapses: How often states stopped for so long that the command had to go safe.
         failures: Updates in a row without a usable answer of the control law; the last one is
@@ -143,9 +132,14 @@ class ControlLoop:
         chatter: ChatterMeter,
         watch: LoopWatch | None = None,
     ) -> None:
+        self.controller = controller
+        self.generator = generator
+        self.guard = guard
+        self.safe = safe
+        self.ramp = ramp
+        self.longest = longest
+        self.chatter = chatter
         self.watch = watch
-        self.controller, self.generator, self.guard, self.safe = controller, generator, guard, safe
-        self.ramp, self.longest, self.chatter = ramp, longest, chatter
         self.is_frozen, self.lapses, self.weight = False, 0, 1.0
         self.control: Control | None = None
         self._memory = controller.begin()

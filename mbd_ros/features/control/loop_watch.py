@@ -1,12 +1,15 @@
-"""Whether a control loop does what its gains promise."""
+"""Whether a control loop does what its gains promise, and when its command must go safe.
+
+The bounds of error and delay are those of the control law at rest, in several poses, for the
+measured period. The delay is the age of the command whose echo a measured state carries.
+"""
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.ranges import Unit, Within
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.control.contract import (
@@ -18,105 +21,23 @@ from mbd_ros.methods.control.contract import (
 )
 from mbd_ros.methods.projection.assembly import assemble
 
-# ---- loop watch -------------------------------------------------------------------------------
-# Whether a control loop does what its gains promise, and when its command must go safe.
-
-
-# The age of the command that a measured state answers.
-
-_CAPACITY = 512  # commands
+_CAPACITY = 512  # commands whose age is compared with the measured effort
 _HORIZON = 0.2  # [s] that a command may be old
-_MEMORY = 0.005  # s, of misfits, within
-_KEPT = (0.5, 0.95)  # of them, an update
-_SURE = 0.1  # share of the misfits about the best one that this may have
+_MISFIT_MEMORY = 0.005  # [s] after which a misfit is forgotten
+_KEPT_SHARE = (0.5, 0.95)  # least and largest share of misfits that an update keeps
+_DISTINCT_MISFIT = 0.1  # share of the misfits about the best one that this may have
 _ASIDE = 3  # so many commands before and after it, and a quarter of its age
-_FEWEST = 3  # updates of a misfit that counts
-
-
-class DelayMeter:
-    """Finds the sent command whose echo is the measured effort.
-
-    A drive tells with each state the effort that acted until then, exactly (a simulator) or with
-    noise. For every age of a command the squared difference between echo and command is summed
-    and forgotten exponentially; the age with the least sum is that of the loop, where that sum is
-    far below those of ages about it: efforts that do not change tell no age, and a drive that
-    reports no effort, or another one, tells nothing. The transport need not help.
-
-    Args:
-        size: Number of joints.
-
-    Attributes:
-        delay: Age of the command less one period, for which it acts [s]; None while not known.
-
-    Source: the sum is the average square difference function of time delay estimation;
-        G. Jacovitti, G. Scarano, IEEE Trans. Signal Process. 41, 1993, 525-533.
-    """
-
-    def __init__(self, size: int) -> None:
-        self._sent = np.zeros((2 * _CAPACITY, size))  # from `first` on, newest first
-        self._times = np.zeros(2 * _CAPACITY)
-        self._misfits = np.zeros(_CAPACITY)
-        self.reset()
-
-    def reset(self) -> None:
-        """Forget what was sent."""
-        self.delay: float | None = None
-        self._count, self._first = 0, _CAPACITY
-
-    def send(self, t: float, effort: Array) -> None:
-        """Note the command that answers the state of time t [s]; effort of shape (n,)."""
-        if self._first == 0:
-            self._first = _CAPACITY
-            self._sent[_CAPACITY:] = self._sent[:_CAPACITY]
-            self._times[_CAPACITY:] = self._times[:_CAPACITY]
-        self._first -= 1
-        self._sent[self._first], self._times[self._first] = effort, t
-        if self._count < _CAPACITY:
-            self._misfits[self._count] = 0.0
-            self._count += 1
-
-    def measure(self, t: float, effort: Array, period: float, oldest: float = _HORIZON) -> None:
-        """Compare the effort that acted until a time with the commands that were sent before.
-
-        Args:
-            t: Of the state, later than that of the last command [s].
-            effort: [N·m or N], shape (n,); nothing is learned from one that is not finite.
-            period: Time for which a command acts [s].
-            oldest: Age up to which commands are compared [s].
-        """
-        total = float(effort.sum())
-        if total - total != 0.0:
-            return
-        reach = int(min(oldest, _HORIZON) / period) + _ASIDE + _FEWEST
-        count, first = min(self._count, reach), self._first
-        miss = self._sent[first : first + count] - effort
-        misfits = self._misfits[:count]
-        misfits *= min(max(math.exp(-period / _MEMORY), _KEPT[0]), _KEPT[1])
-        misfits += np.einsum("ij,ij->i", miss, miss)
-        best = self._best(misfits[: count - _FEWEST]) if count > _FEWEST else None
-        if best is not None:
-            self.delay = max(t - float(self._times[first + best]) - period, 0.0)
-
-    def _best(self, misfits: Array) -> int | None:
-        """Where the least misfit is, if it stands out: far below those of ages about it."""
-        best = int(misfits.argmin())
-        aside = _ASIDE + best // 4
-        if best + aside >= len(misfits):
-            return None
-        around = min(misfits[best + aside], misfits[best - aside] if best >= aside else np.inf)
-        return best if misfits[best] <= _SURE * around and around > 0.0 else None
-
-
-_POSES = 12  # beside the initial one
-_HELD = 0.04  # [s] for which a bound must be passed, less half the tolerable delay, and
-_TIMES = 2  # states in a row
+_FEWEST_UPDATES = 3  # updates of a misfit that counts
+_REST_POSES = 12  # beside the initial one
+_HELD = 0.04  # [s] for which a bound must be passed, less half the tolerable delay
+_STATES_IN_A_ROW = 2  # that must be beyond a bound
 _SETTLING = 0.5  # [s] of full control until the error is judged, where it was not small before
-_FIRST_WAIT, _LONGEST_WAIT = 1.0, 60.0  # s
+_FIRST_WAIT, _LONGEST_WAIT = 1.0, 60.0  # [s] without a fault before control returns
 _CALM = 30.0  # [s] without a fault after which the wait is the first one again
 _OLDEST, _RECENT = 4.0, 0.03  # times the tolerable delay, [s]: ages that are looked for
-_TOO_FAST = 2.0  # times the velocity limit: beyond, the loop counts as lost
-_CHANGE = 0.25  # of the period, after which the bounds are computed anew
-_SMOOTH = 0.1  # weight of the newest period
+_LOST_SPEED = 2.0  # times the velocity limit: beyond, the loop counts as lost
+_PERIOD_CHANGE = 0.25  # of the period, after which the bounds are computed anew
+_PERIOD_WEIGHT = 0.1  # weight of the newest period
 
 
 class LossLimits(NamedTuple):
@@ -129,24 +50,6 @@ class LossLimits(NamedTuple):
 
     speed: Array
     error: float
-
-
-def rest_responses(joints: ControlledJoints, initial: State) -> list[Response]:
-    """How the joints answer at rest: in the initial pose, and in others within their limits."""
-    system, newest = joints.system, joints.newest
-    rng, robot = np.random.default_rng(0), system.robot
-    lower = np.array([max(joint.lower, -np.pi) for joint in robot.joints])
-    upper = np.array([min(joint.upper, np.pi) for joint in robot.joints])
-    poses = [initial.q, *(rng.uniform(lower, upper) for _ in range(_POSES))]
-    still, found = np.zeros(robot.model.nv), []
-    for q in poses:
-        try:
-            at_rest = system.reduce(State(initial.t, q, still))
-            found.append(joints.response(system.expand(assemble(system, at_rest))))
-        except SolveError:  # a pose that the loops cannot take
-            continue
-    joints.newest = newest
-    return found
 
 
 class LoopWatch:
@@ -244,18 +147,21 @@ class LoopWatch:
         self._note_settling(t, error, is_full)
         self._reasons = self._late() + self._fast(v, 1.0) + self._off(error, 1.0)
         if self.fault:
-            self._maybe_return(t, bool(self._too_late() + self._fast(v, _TOO_FAST)))
+            self._maybe_return(t, bool(self._too_late() + self._fast(v, _LOST_SPEED)))
         elif self._reasons:
             far = self._off(error, self.limits.error)
-            self._maybe_end(t, self._too_late() + self._fast(v, _TOO_FAST) + far)
+            self._maybe_end(t, self._too_late() + self._fast(v, _LOST_SPEED) + far)
         else:
             self._passed = 0
 
     def _note_period(self, dt: float) -> None:
         self._intervals += 1
-        share = max(_SMOOTH, 1.0 / self._intervals)
+        share = max(_PERIOD_WEIGHT, 1.0 / self._intervals)
         self.period += share * (dt - self.period)
-        if self._intervals >= 10 and abs(self.period - self._computed) > _CHANGE * self._computed:
+        if (
+            self._intervals >= 10
+            and abs(self.period - self._computed) > _PERIOD_CHANGE * self._computed
+        ):
             self._compute()
 
     def _compute(self) -> None:
@@ -310,7 +216,7 @@ class LoopWatch:
             self._since = t
         self._passed += 1
         held = _HELD - 0.5 * min(self.tolerable, LONGEST)  # a late answer shows late
-        if self._passed >= _TIMES and t - self._since >= held:
+        if self._passed >= _STATES_IN_A_ROW and t - self._since >= held:
             is_again = t - self._back < _CALM
             self._wait = min(2.0 * self._wait, _LONGEST_WAIT) if is_again else _FIRST_WAIT
             self.fault, self._since, self._passed = "; ".join(lost), t, 0
@@ -326,108 +232,93 @@ class LoopWatch:
             self.begin()
 
 
-# ---- chatter ----------------------------------------------------------------------------------
-# How much a stream of commands chatters.
+def rest_responses(joints: ControlledJoints, initial: State) -> list[Response]:
+    """How the joints answer at rest: in the initial pose, and in others within their limits."""
+    system, newest = joints.system, joints.newest
+    rng, robot = np.random.default_rng(0), system.robot
+    lower = np.array([max(joint.lower, -np.pi) for joint in robot.joints])
+    upper = np.array([min(joint.upper, np.pi) for joint in robot.joints])
+    poses = [initial.q, *(rng.uniform(lower, upper) for _ in range(_REST_POSES))]
+    still, found = np.zeros(robot.model.nv), []
+    for q in poses:
+        try:
+            at_rest = system.reduce(State(initial.t, q, still))
+            found.append(joints.response(system.expand(assemble(system, at_rest))))
+        except SolveError:  # a pose that the loops cannot take
+            continue
+    joints.newest = newest
+    return found
 
 
-class ChatterMeter:
-    """Mean square of commands above a frequency, forgotten exponentially.
+class DelayMeter:
+    """Finds the sent command whose echo is the measured effort.
 
-    Commands u are held until the next one. A critically damped high-pass of second order,
-
-        h = (s / (s + w))^2 u,   w = 2 pi f / sqrt(1 + sqrt 2)
-
-    with half power at f leaves a motion at 0.1 f with 6e-4 of its power; chatter passes. Then
-
-        T E' = h^2 - E
-
-    Both are integrated exactly over every hold, so that E does not depend on how a constant
-    command is divided into samples. A command counts once it has acted, that is, from the next
-    update on.
+    A drive tells with each state the effort that acted until then, exactly (a simulator) or with
+    noise. For every age of a command the squared difference between echo and command is summed
+    and forgotten exponentially; the age with the least sum is that of the loop, where that sum is
+    far below those of ages about it: efforts that do not change tell no age, and a drive that
+    reports no effort, or another one, tells nothing. The transport need not help.
 
     Args:
         size: Number of joints.
-        cutoff: Frequency f from which motion of a command counts as chatter; arm and leg
-            movements stay below 10 Hz.
-        memory: T, > 0.
 
     Attributes:
-        energy: E of each joint [(N·m)^2 or N^2], shape (n,); a new array each update.
+        delay: Age of the command less one period, for which it acts [s]; None while not known.
 
-    Source: the steps are the variation of constants of the two filters.
+    Source: the sum is the average square difference function of time delay estimation;
+        G. Jacovitti, G. Scarano, IEEE Trans. Signal Process. 41, 1993, 525-533.
     """
 
-    def __init__(
-        self,
-        size: int,
-        cutoff: Annotated[float, Within(1.0e-3, 1.0e6), Unit("Hz")] = 20.0,
-        memory: Annotated[float, Unit("s")] = 0.5,
-    ) -> None:
-        self._w = 2.0 * math.pi * cutoff / math.sqrt(1.0 + math.sqrt(2.0))
-        self._memory = memory
-        self._dt, self._factors = -1.0, (1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
-        self._first, self._second = np.zeros(size), np.zeros(size)  # u - first, less second, is h
-        self._u = np.zeros(size)
+    def __init__(self, size: int) -> None:
+        self._sent = np.zeros((2 * _CAPACITY, size))  # from `first` on, newest first
+        self._times = np.zeros(2 * _CAPACITY)
+        self._misfits = np.zeros(_CAPACITY)
         self.reset()
 
-    @property
-    def rms(self) -> Array:
-        """Square root of `energy` [N·m or N], shape (n,)."""
-        return np.sqrt(self.energy)
-
-    @property
-    def total(self) -> float:
-        """Energy of all joints; of use where they have one unit [(N·m)^2 or N^2]."""
-        return float(self.energy.sum())
-
     def reset(self) -> None:
-        """Forget the past; the next command counts as held for ever."""
-        self.energy: Array = np.zeros(len(self._u))
-        self._is_new = True
+        """Forget what was sent."""
+        self.delay: float | None = None
+        self._count, self._first = 0, _CAPACITY
 
-    def update(self, u: Array, dt: float) -> None:
-        """Take a new command.
+    def send(self, t: float, effort: Array) -> None:
+        """Note the command that answers the state of time t [s]; effort of shape (n,)."""
+        if self._first == 0:
+            self._first = _CAPACITY
+            self._sent[_CAPACITY:] = self._sent[:_CAPACITY]
+            self._times[_CAPACITY:] = self._times[:_CAPACITY]
+        self._first -= 1
+        self._sent[self._first], self._times[self._first] = effort, t
+        if self._count < _CAPACITY:
+            self._misfits[self._count] = 0.0
+            self._count += 1
+
+    def measure(self, t: float, effort: Array, period: float, oldest: float = _HORIZON) -> None:
+        """Compare the effort that acted until a time with the commands that were sent before.
 
         Args:
-            u: [N·m or N], finite, shape (n,).
-            dt: Time since the last one [s]; what is < 0 counts as 0.
+            t: Of the state, later than that of the last command [s].
+            effort: [N·m or N], shape (n,); nothing is learned from one that is not finite.
+            period: Time for which a command acts [s].
+            oldest: Age up to which commands are compared [s].
         """
-        if self._is_new:
-            self._first[:], self._second[:], self._is_new = u, 0.0, False
-        elif dt > 0.0:
-            self._advance(dt)
-        self._u[:] = u
+        total = float(effort.sum())
+        if total - total != 0.0:
+            return
+        reach = int(min(oldest, _HORIZON) / period) + _ASIDE + _FEWEST_UPDATES
+        count, first = min(self._count, reach), self._first
+        miss = self._sent[first : first + count] - effort
+        misfits = self._misfits[:count]
+        misfits *= min(max(math.exp(-period / _MISFIT_MEMORY), _KEPT_SHARE[0]), _KEPT_SHARE[1])
+        misfits += np.einsum("ij,ij->i", miss, miss)
+        best = self._best(misfits[: count - _FEWEST_UPDATES]) if count > _FEWEST_UPDATES else None
+        if best is not None:
+            self.delay = max(t - float(self._times[first + best]) - period, 0.0)
 
-    def _advance(self, dt: float) -> None:
-        """Hold the last command for a time: h = exp(-w t) (h0 - w t d), d = u - first at 0."""
-        if dt != self._dt:
-            self._dt, self._factors = dt, self._factors_of(dt)
-        decay, ramp, kept, square, cross, slope = self._factors
-        d = self._u - self._first
-        h = d - self._second
-        self.energy = kept * self.energy + square * (h * h) - cross * (h * d) + slope * (d * d)
-        self._first += (1.0 - decay) * d
-        self._second *= decay
-        self._second += ramp * d
-
-    def _factors_of(self, dt: float) -> tuple[float, float, float, float, float, float]:
-        """Decay of d, its share in `second`, and E+ as a form in E, h0 and d.
-
-        E+ = e^{-dt/T} E + 1/T integral of e^{-(dt-t)/T} e^{-2wt} (h0 - wtd)^2 over [0, dt]; the
-        substitution t = dt x leaves moments of e^{-ax} with a = (2w - 1/T) dt.
-        """
-        wt, forget = self._w * dt, dt / self._memory
-        decay, kept = math.exp(-wt), math.exp(-forget)
-        m0, m1, m2 = (forget * m for m in _moments(2.0 * wt - forget, kept, decay * decay))
-        return decay, decay * wt, kept, m0, 2.0 * wt * m1, wt * wt * m2
-
-
-def _moments(a: float, start: float, end: float) -> tuple[float, float, float]:
-    """Integrals of x^k start exp(-a x) over [0, 1], k = 0, 1, 2; it ends at `end`."""
-    if abs(a) < 1.0:  # the closed forms cancel: x^k exp(-a x) as a series
-        terms = [start * (-a) ** j / math.factorial(j) for j in range(20)]
-        sums = (sum(t / (j + k + 1) for j, t in enumerate(terms)) for k in range(3))
-        return next(sums), next(sums), next(sums)
-    m0 = (start - end) / a
-    m1 = (m0 - end) / a
-    return m0, m1, (2.0 * m1 - end) / a
+    def _best(self, misfits: Array) -> int | None:
+        """Where the least misfit is, if it stands out: far below those of ages about it."""
+        best = int(misfits.argmin())
+        aside = _ASIDE + best // 4
+        if best + aside >= len(misfits):
+            return None
+        around = min(misfits[best + aside], misfits[best - aside] if best >= aside else np.inf)
+        return best if misfits[best] <= _DISTINCT_MISFIT * around and around > 0.0 else None

@@ -1,4 +1,8 @@
-"""The reference of a controller: a held state, single targets or trajectories, within limits."""
+"""The reference of a controller: a held state, single targets or trajectories, within limits.
+
+A reference names joints in any order; `ReferenceMap` finds the controlled ones among them, and
+maps joints that follow others to those.
+"""
 
 from collections.abc import Sequence
 from typing import Annotated, NamedTuple
@@ -19,12 +23,9 @@ from mbd_ros.features.control.trajectory import (
 )
 from mbd_ros.methods.control.contract import ControlledJoints, Reference
 
-# ---- reference generator ----------------------------------------------------------------------
-# The reference of a controller: a held state, single targets or trajectories, without jumps.
-
-
-_SHORTEST = 1.0e-4  # s
+_SHORTEST = 1.0e-4  # [s] of a ramp
 _FARTHEST = 3600.0  # [s] that a trajectory may lie ahead: another clock is off by years
+_MOST_NAMES = 8  # in an error
 
 
 class ReferenceGenerator:
@@ -50,9 +51,9 @@ class ReferenceGenerator:
         timeout: Age of a single target from which it is held.
 
     Attributes:
-        ramp: See above; may change at any time.
-        ramp_speed: See above; may change at any time.
-        timeout: See above; may change at any time.
+        ramp: May change at any time.
+        ramp_speed: May change at any time.
+        timeout: May change at any time.
         kind: What is followed: `held`, `target` or `trajectory`.
     """
 
@@ -254,13 +255,6 @@ def _check_near(duration: float) -> None:
         )
 
 
-# ---- reference map ----------------------------------------------------------------------------
-# Names of a reference -> controlled joints; dependent joints are mapped to their parents.
-
-
-_MOST = 8  # names in an error
-
-
 class Selection(NamedTuple):
     """How values of a reference become those of the controlled joints.
 
@@ -388,5 +382,5 @@ class ReferenceMap:
 
 def _first(names: Sequence[str]) -> str:
     """Some names for people, of any number and length."""
-    some = ", ".join(f"{name:.64}" for name in names[:_MOST])
-    return some if len(names) <= _MOST else f"{some} and {len(names) - _MOST} more"
+    some = ", ".join(f"{name:.64}" for name in names[:_MOST_NAMES])
+    return some if len(names) <= _MOST_NAMES else f"{some} and {len(names) - _MOST_NAMES} more"

@@ -1,4 +1,8 @@
-"""How far a motion may be from a plan and still return to it, within what contacts leave."""
+"""How far a motion may be from a plan and still return to it, within what contacts leave.
+
+The tube is a level of the cost to go, e' S e <= level. Random deviations of a level are simulated
+under the gains; the level is halved until all of them return.
+"""
 
 import math
 from collections.abc import Callable, Iterable, Sequence
@@ -14,35 +18,10 @@ from mbd_ros.methods.control.tracking_plan import IndependentSlopes, TrackingPla
 from mbd_ros.methods.events.crossings import Crossing
 from mbd_ros.methods.projection.assembly import assemble
 
-# ---- contact margins --------------------------------------------------------------------------
-# What contacts that are held leave before they open or slip.
-
-
-def held_room(system: Any, crossings: Sequence[Crossing], y: State, u: Array) -> Array:
-    """Numbers of forces at a state of what is integrated, positive while contacts are held.
-
-    Args:
-        system: The system that holds them.
-        crossings: The numbers, shape (n,).
-        y: The state.
-        u: Inputs.
-    """
-    x, k = system.expand(y), system.k
-    lam, found = system.evaluate(x, u).lam, []
-    for crossing in crossings:
-        k.refresh(x.q, x.v, crossing.reads)
-        found.append(crossing.value(k, x, lam))
-    return np.array(found)
-
-
-# ---- tracking tube ----------------------------------------------------------------------------
-# How far a motion may be from a plan and still return to it.
-
-
 Watched = Callable[[Iterable[Any]], Iterable[Any]]
 _STEP = 0.2  # of a step, over the fastest rate of the loop
-_LONGEST = 5.0e-3  # s
-_HALVINGS = 40
+_LONGEST = 5.0e-3  # [s] of a step
+_HALVINGS = 40  # of a level, at most
 _LOST = 100.0  # times a level, at which a motion is given up
 _MARGIN = 0.5  # of the level that every disturbance returned from
 _REPEATED_MARGIN = 0.25  # the same of motions that only have to end in the tube
@@ -67,7 +46,6 @@ class DisturbedMotion:
     Args:
         system: What is controlled.
         motion: States of what it integrates at the times of the plan.
-        plan: The plan.
         slopes: Its joints among the coordinates, and what they say of the others.
         box: Efforts that inputs can have.
         hold: How long the plan holds its end [s].
@@ -182,3 +160,20 @@ def tube_level(
             return (_MARGIN if rests else _REPEATED_MARGIN) * level
         level *= 0.5
     return 0.0
+
+
+def held_room(system: Any, crossings: Sequence[Crossing], y: State, u: Array) -> Array:
+    """Numbers of forces at a state of what is integrated, positive while contacts are held.
+
+    Args:
+        system: The system that holds them.
+        crossings: The numbers, shape (n,).
+        y: The state.
+        u: Inputs.
+    """
+    x, k = system.expand(y), system.k
+    lam, found = system.evaluate(x, u).lam, []
+    for crossing in crossings:
+        k.refresh(x.q, x.v, crossing.reads)
+        found.append(crossing.value(k, x, lam))
+    return np.array(found)

@@ -1,4 +1,8 @@
-"""Trajectories of joints over time, and their goals."""
+"""Trajectories of joints over time, the limits they keep, and their goals.
+
+A trajectory is polynomials between points, at rest before and after. A goal says how far joints
+may be from it, and tells when and how it ends.
+"""
 
 import math
 from collections.abc import Sequence
@@ -10,10 +14,6 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import MbdError
 from mbd_ros.methods.control.contract import ControlledJoints, Reference
-
-# ---- trajectory -------------------------------------------------------------------------------
-# Trajectories of joints over time: polynomials between points, at rest before and after.
-
 
 # Rows: value, slope and curvature at the begin, the same at the end of an interval of length 1;
 # columns: powers 0 .. 5.
@@ -36,7 +36,8 @@ _CUBIC = np.array(
     ]
 )
 PEAK_SPEED = 1.875  # of a quintic from rest to rest, in distance over duration
-_SAMPLES = 16  # a piece, where extremes are looked for
+_SAMPLES = 16  # of a piece, among which extremes are looked for
+_ROUNDING = 1.0e-9  # rad or m, and share of a speed limit
 
 
 class ReferenceTrajectory:
@@ -128,22 +129,8 @@ def slopes(times: Array, q: Array) -> Array:
     return v
 
 
-# ---- reference limits -------------------------------------------------------------------------
-# Limits of a reference, and how a reference that would leave them is kept or refused.
-
-
-_ROUNDING = 1.0e-9  # rad or m, and share of a speed limit
-
-
-class TargetError(MbdError):
-    """A reference that is refused: names the joint, its value and what is accepted."""
-
-
 class ReferenceLimits:
     """Position and velocity limits of joints as references see them.
-
-    Args:
-        joints: The controlled joints.
 
     Attributes:
         fastest: Velocity limits [rad/s or m/s], shape (n,).
@@ -201,29 +188,8 @@ class ReferenceLimits:
             )
 
 
-# ---- trajectory goal --------------------------------------------------------------------------
-# Goals of a trajectory: the tolerances of their joints, and when and how they end.
-#
-# Source: the meaning of tolerances and codes is that of control_msgs/action/FollowJointTrajectory,
-# and where it leaves a choice that of the joint_trajectory_controller of ros2_control.
-
-
-class ResultCode(IntEnum):
-    """How a goal ended; values of the action."""
-
-    SUCCESSFUL = 0
-    INVALID_GOAL = -1
-    INVALID_JOINTS = -2
-    OLD_HEADER_TIMESTAMP = -3
-    PATH_TOLERANCE_VIOLATED = -4
-    GOAL_TOLERANCE_VIOLATED = -5
-
-
-class Outcome(NamedTuple):
-    """The end of a goal: its code, and the reason for people."""
-
-    code: ResultCode
-    text: str
+class TargetError(MbdError):
+    """A reference that is refused: names the joint, its value and what is accepted."""
 
 
 class JointTolerance(NamedTuple):
@@ -283,12 +249,32 @@ class Tolerances(NamedTuple):
         return Tolerances(path_q, path_v, goal_q, goal_v, within)
 
 
+class ResultCode(IntEnum):
+    """How a goal ended; values of the action."""
+
+    SUCCESSFUL = 0
+    INVALID_GOAL = -1
+    INVALID_JOINTS = -2
+    OLD_HEADER_TIMESTAMP = -3
+    PATH_TOLERANCE_VIOLATED = -4
+    GOAL_TOLERANCE_VIOLATED = -5
+
+
+class Outcome(NamedTuple):
+    """The end of a goal: its code, and the reason for people."""
+
+    code: ResultCode
+    text: str
+
+
 class TrajectoryGoal:
-    """A trajectory on its way.
+    """A trajectory on its way: whether its joints keep their tolerances, and how it ends.
 
     On the way every joint must keep the path tolerances. From the last point on, once the
     reference rests there, the goal is reached as soon as every joint keeps the goal tolerances,
-    and missed after `tolerances.time`.
+    and missed after `tolerances.time`. The meaning of tolerances and codes is that of
+    control_msgs/action/FollowJointTrajectory, and where it leaves a choice that of the
+    joint_trajectory_controller of ros2_control.
 
     Args:
         names: Joints, in the order of all arrays.
