@@ -9,9 +9,9 @@ from mbd_ros.compiled.build.compiler import cores
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, FallError, SolveError
 from mbd_ros.features.gait.flows import SceneFamily, flow_of
-from mbd_ros.features.gait.periodic import candidates
 from mbd_ros.features.gait.search import Gait, Start, grid_starts, placed_at
 from mbd_ros.features.gait.task import BasinTask, gait_task
+from mbd_ros.features.gait.travel import candidates
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
 from mbd_ros.jobs.workers.task import Task
 from mbd_ros.methods.sensitivities.flow import Travel
@@ -20,8 +20,8 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 
 FELL, UNDECIDED, NOT_PLACED = 0, -1, -2
-_SHARES = 8  # tasks a worker
-_LONG = 5.0  # periods within which a cycle ends
+_TASKS_A_WORKER = 8
+_LONGEST_CYCLE = 5.0  # periods within which a cycle ends
 
 
 class Outcome(NamedTuple):
@@ -36,12 +36,6 @@ class Outcome(NamedTuple):
     start: Start
     number: int
     cycles: int
-
-
-def outcome_word(number: int) -> str:
-    """What became of a start, for people."""
-    words = {FELL: "fell", UNDECIDED: "undecided", NOT_PLACED: "not placed"}
-    return words.get(number, f"gait {number}")
 
 
 def basin_of(
@@ -70,7 +64,7 @@ def basin_of(
         found = _scan(scene, order, starts)
         return [Outcome(start, *each) for start, each in zip(starts, found, strict=True)]
     with open_workers(scheduler, workers or cores()) as opened:
-        size = -(-len(starts) // (_SHARES * max(opened.count, 1)))
+        size = -(-len(starts) // (_TASKS_A_WORKER * max(opened.count, 1)))
         tasks = [
             Task(f"starts {i}", f"{__name__}:scan", {**order, "starts": starts[i : i + size]})
             for i in range(0, len(starts), size)
@@ -85,11 +79,6 @@ def basin_of(
     return outcomes
 
 
-def scan(order: Mapping[str, Any]) -> list[list[int]]:
-    """Some of the starts, in a worker; number and cycles of each."""
-    return [list(one) for one in _scan(load_scene(order["scene"]), order, order["starts"])]
-
-
 def _order(family: SceneFamily, gaits: Sequence[Gait], asked: BasinTask) -> dict[str, Any]:
     stable = [g.motion.is_stable for g in gaits]
     chosen = [(i, g) for i, g in enumerate(gaits, 1) if stable[i - 1] or not any(stable)]
@@ -97,7 +86,7 @@ def _order(family: SceneFamily, gaits: Sequence[Gait], asked: BasinTask) -> dict
     period = max(g.motion.passage.period for g in gaits) / task.cycles
     return {
         "scene": str(family.scene.path),
-        "task": {"integrator": dict(task.integrator), "longest": _LONG * period}
+        "task": {"integrator": dict(task.integrator), "longest": _LONGEST_CYCLE * period}
         | ({} if task.event is None else {"event": task.event}),
         "travel": first.travel.directions.tolist(),
         "gaits": [[i, *_listed(g.motion.state)] for i, g in chosen],
@@ -109,11 +98,6 @@ def _order(family: SceneFamily, gaits: Sequence[Gait], asked: BasinTask) -> dict
 
 def _listed(x: State) -> list[Any]:
     return [x.t, x.q.tolist(), x.v.tolist(), x.z.tolist(), list(x.mode)]
-
-
-def _state(listed: Sequence[Any]) -> State:
-    t, q, v, z, mode = listed
-    return State(t, np.array(q), np.array(v), np.array(z), tuple(mode))
 
 
 def _scan(
@@ -135,6 +119,11 @@ def _scan(
     return found
 
 
+def _state(listed: Sequence[Any]) -> State:
+    t, q, v, z, mode = listed
+    return State(t, np.array(q), np.array(v), np.array(z), tuple(mode))
+
+
 def _followed(
     flow: SimulatedFlow,
     travel: Travel,
@@ -152,3 +141,14 @@ def _followed(
             if float(np.abs(apart).max()) < float(order["near"]):
                 return number, cycle
     return UNDECIDED, int(order["cycles"])
+
+
+def scan(order: Mapping[str, Any]) -> list[list[int]]:
+    """Some of the starts, in a worker; number and cycles of each."""
+    return [list(one) for one in _scan(load_scene(order["scene"]), order, order["starts"])]
+
+
+def outcome_word(number: int) -> str:
+    """What became of a start, for people."""
+    words = {FELL: "fell", UNDECIDED: "undecided", NOT_PLACED: "not placed"}
+    return words.get(number, f"gait {number}")

@@ -31,10 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.gait.job import Where, gait_to
+    from mbd_ros.features.gait.job import gait_to
     from mbd_ros.scene.reader import load_scene
 
-    where = Where(arguments.workers, arguments.scheduler)
+    where = arguments.workers, arguments.scheduler
     scene = load_scene(arguments.scene)
-    gait_to(scene, arguments.task, arguments.out, arguments.page, say, where)
+    gait_to(scene, arguments.task, arguments.out, arguments.page, say, *where)
     return OK

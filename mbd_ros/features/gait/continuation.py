@@ -1,4 +1,8 @@
-"""Branches of periodic motions along a parameter, by pseudo-arclength."""
+"""Branches of gaits along a parameter, by pseudo-arclength, and what changes along them.
+
+Folds, period doublings and torus bifurcations are located where their test functions change sign;
+from a doubling the branch of twice the period is followed, too.
+"""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
@@ -25,11 +29,18 @@ from mbd_ros.methods.events.crossings import sign_change
 from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.variants import found_place, places_of
 
-# ---- branch -----------------------------------------------------------------------------------
-# Points of a branch of periodic motions, and what changes between two of them.
-
-
 DOUBLING, FOLD, TORUS = "period doubling", "fold", "torus bifurcation"
+Family = Callable[[float], ReturnMap]
+"""The return map at a value of the parameter."""
+
+
+_FIRST, _LONGEST, _SHORTEST = 0.02, 0.1, 1.0e-6  # of steps, in units of state and range
+_PROBE = 1.0e-4  # of the range: difference by the parameter
+_CORRECTIONS, _RENEWALS = 16, 4  # of a point, and of its derivatives, at most
+_GAIN = 0.5  # of a correction, below which derivatives are computed anew
+_LOCATED = 1.0e-9  # of a step: where a test function is zero
+_TRIES, _APART, _ASIDE = 6, 1.0e-5, 2.0e-3  # of the state: first step onto a doubled branch
+_ROUNDING = 1.0e-9  # of the range: a value that a scene states by sine and cosine
 
 
 class BranchPoint(NamedTuple):
@@ -37,7 +48,6 @@ class BranchPoint(NamedTuple):
 
     Attributes:
         parameter: The value.
-        motion: The motion.
         tangent: Direction of the branch: of the state before the event of the section, then of
             the parameter in units of its range; of length one, shape (n + 1,).
         slopes: Derivative of the residual by the same, shape (n, n + 1).
@@ -70,45 +80,85 @@ class Branch(NamedTuple):
         return tuple(point for point in self.points if point.mark)
 
 
-def changes(one: BranchPoint, other: BranchPoint) -> Iterator[str]:
-    """What happens between two points of a branch: folds, doublings, tori."""
-    for mark in (FOLD, DOUBLING, TORUS):
-        if test(mark, one) * test(mark, other) < 0.0:
-            yield mark
+class NamedBranch(NamedTuple):
+    """A branch and its origin.
+
+    Attributes:
+        gait: Number of the gait from which it comes, from 1 on.
+        of: What it is, for people.
+    """
+
+    branch: Branch
+    gait: int
+    of: str
 
 
-def test(mark: str, point: BranchPoint) -> float:
-    """A number that changes its sign where something happens.
+def branches_of(
+    family: SceneFamily, gait: Gait, number: int, asked: ContinuationTask, say: Say
+) -> Iterator[NamedBranch]:
+    """The branch through a gait, and those of twice the period that leave it.
 
     Args:
-        mark: A fold: the direction of the parameter. A doubling: prod (1 + m) of the multipliers
-            m. A torus: |m|^2 - 1 of the pair of complex ones that is nearest to the unit circle.
-        point: The point.
+        family: The return maps along the parameter.
+        gait: Where it begins.
+        number: Of the gait, from 1 on.
+        asked: What is asked.
+        say: Is told what happens on the way.
 
-    Source: Y. Kuznetsov, Elements of Applied Bifurcation Theory, 2004, ch. 5 and 10.
+    Raises:
+        SceneError: The scene's own value of the parameter is outside the range.
     """
-    found = point.motion.multipliers
-    if mark == FOLD:
-        return float(point.tangent[-1])
-    if mark == DOUBLING:
-        return float(np.prod(1.0 + found).real)
-    pairs = np.abs(found[found.imag > 0.0]) ** 2 - 1.0
-    return float(pairs[np.abs(pairs).argmin()]) if len(pairs) else 0.0
+    value = own_value(family, asked)
+    maps = family.of(gait.section, gait.travel)
+    along = Continuation(maps, asked.low, asked.high, asked.points)
+    cycles = family.task.cycles
+    up = along.branch(gait.motion, value, 1, cycles)
+    down = along.branch(gait.motion, value, -1, cycles)
+    points = (*reversed(down.points[1:]), *up.points)
+    whole = Branch(points, cycles, " and ".join(dict.fromkeys((down.ended, up.ended))))
+    waiting = [(NamedBranch(whole, number, f"gait {number}"), 0)]
+    while waiting:
+        named, level = waiting.pop(0)
+        yield named
+        for mark in named.branch.marks:
+            if mark.mark != DOUBLING or level >= asked.doublings:
+                continue
+            try:
+                doubled = along.doubled(mark, named.branch.cycles)
+            except SolveError as error:
+                say(f"{named.of}: {error}")
+                continue
+            of = f"{named.of}, doubled at {mark.parameter:.9g}"
+            waiting.append((NamedBranch(doubled, number, of), level + 1))
 
 
-# ---- continuation -----------------------------------------------------------------------------
-# Branches of periodic motions along a parameter, by pseudo-arclength.
+def own_value(family: SceneFamily, asked: ContinuationTask) -> float:
+    """The value of the parameter in the scene as it is.
 
-
-Family = Callable[[float], ReturnMap]
-"""The return map at a value of the parameter."""
-
-_FIRST, _LONGEST, _SHORTEST = 0.02, 0.1, 1.0e-6  # of steps, in units of state and range
-_PROBE = 1.0e-4  # of the range: difference by the parameter
-_CORRECTIONS, _RENEWALS = 16, 4
-_GAIN = 0.5  # of a correction, below which derivatives are computed anew
-_LOCATED = 1.0e-9  # of a step: where a test function is zero
-_TRIES, _APART, _ASIDE = 6, 1.0e-5, 2.0e-3  # of the state: first step onto a doubled branch
+    Raises:
+        SceneError: It is not one number, or outside the range.
+    """
+    value = family.value()
+    where = f"{family.task.source or family.scene.name}: gait.continuation"
+    if value is None:
+        scene = family.scene
+        place, path = found_place(Origin(title=where), places_of(scene), asked.parameter)
+        inner = scene.entries[place.section]
+        for key in (*([] if place.at is None else [place.at]), *path):
+            inner = inner.get(key) if isinstance(inner, dict) else inner[key]
+        if type(inner) not in (int, float):
+            raise SceneError(
+                f"{where}.parameter: {asked.parameter} is {inner!r} in the scene, accepted: a "
+                "number that it states"
+            )
+        value = float(inner)
+    slack = _ROUNDING * (asked.high - asked.low)
+    if not asked.low - slack <= value <= asked.high + slack:
+        raise SceneError(
+            f"{where}: {asked.parameter} is {value:.9g} in the scene, outside {asked.low:g} .. "
+            f"{asked.high:g}: the branch begins with the scene"
+        )
+    return min(max(value, asked.low), asked.high)
 
 
 @dataclass(frozen=True)
@@ -328,103 +378,40 @@ class Continuation:
         return np.column_stack((derivative - np.eye(len(derivative)), by_parameter)), derivative
 
 
-def _tangent(slopes: Array, like: Array) -> Array:
-    """The direction that the slopes leave free, on the side of another one."""
-    direction: Array = np.linalg.svd(slopes)[2][-1]
-    return direction if direction.dot(like) >= 0.0 else -direction
+def changes(one: BranchPoint, other: BranchPoint) -> Iterator[str]:
+    """What happens between two points of a branch: folds, doublings, tori."""
+    for mark in (FOLD, DOUBLING, TORUS):
+        if test(mark, one) * test(mark, other) < 0.0:
+            yield mark
+
+
+def test(mark: str, point: BranchPoint) -> float:
+    """A number that changes its sign where something happens.
+
+    Args:
+        mark: A fold: the direction of the parameter. A doubling: prod (1 + m) of the multipliers
+            m. A torus: |m|^2 - 1 of the pair of complex ones that is nearest to the unit circle.
+        point: The point.
+
+    Source: Y. Kuznetsov, Elements of Applied Bifurcation Theory, 2004, ch. 5 and 10.
+    """
+    found = point.motion.multipliers
+    if mark == FOLD:
+        return float(point.tangent[-1])
+    if mark == DOUBLING:
+        return float(np.prod(1.0 + found).real)
+    pairs = np.abs(found[found.imag > 0.0]) ** 2 - 1.0
+    return float(pairs[np.abs(pairs).argmin()]) if len(pairs) else 0.0
 
 
 def _between(way: ReturnMap, one: State, other: State, part: float) -> State:
     return way.flow.plus(one, part * way.flow.minus(other, one))
 
 
-# ---- branches ---------------------------------------------------------------------------------
-# Branches of gaits along a parameter.
-
-
-_ROUNDING = 1.0e-9  # of the range: a value that a scene states by sine and cosine
-
-
-class NamedBranch(NamedTuple):
-    """A branch and its origin.
-
-    Attributes:
-        branch: The branch.
-        gait: Number of the gait from which it comes, from 1 on.
-        of: What it is, for people.
-    """
-
-    branch: Branch
-    gait: int
-    of: str
-
-
-def branches_of(
-    family: SceneFamily, gait: Gait, number: int, asked: ContinuationTask, say: Say
-) -> Iterator[NamedBranch]:
-    """The branch through a gait, and those of twice the period that leave it.
-
-    Args:
-        family: The return maps along the parameter.
-        gait: Where it begins.
-        number: Of the gait, from 1 on.
-        asked: What is asked.
-        say: Is told what happens on the way.
-
-    Raises:
-        SceneError: The scene's own value of the parameter is outside the range.
-    """
-    value = own_value(family, asked)
-    maps = family.of(gait.section, gait.travel)
-    along = Continuation(maps, asked.low, asked.high, asked.points)
-    cycles = family.task.cycles
-    up = along.branch(gait.motion, value, 1, cycles)
-    down = along.branch(gait.motion, value, -1, cycles)
-    points = (*reversed(down.points[1:]), *up.points)
-    whole = Branch(points, cycles, " and ".join(dict.fromkeys((down.ended, up.ended))))
-    waiting = [(NamedBranch(whole, number, f"gait {number}"), 0)]
-    while waiting:
-        named, level = waiting.pop(0)
-        yield named
-        for mark in named.branch.marks:
-            if mark.mark != DOUBLING or level >= asked.doublings:
-                continue
-            try:
-                doubled = along.doubled(mark, named.branch.cycles)
-            except SolveError as error:
-                say(f"{named.of}: {error}")
-                continue
-            of = f"{named.of}, doubled at {mark.parameter:.9g}"
-            waiting.append((NamedBranch(doubled, number, of), level + 1))
-
-
-def own_value(family: SceneFamily, asked: ContinuationTask) -> float:
-    """The value of the parameter in the scene as it is.
-
-    Raises:
-        SceneError: It is not one number, or outside the range.
-    """
-    value = family.value()
-    where = f"{family.task.source or family.scene.name}: gait.continuation"
-    if value is None:
-        scene = family.scene
-        place, path = found_place(Origin(title=where), places_of(scene), asked.parameter)
-        inner = scene.entries[place.section]
-        for key in (*([] if place.at is None else [place.at]), *path):
-            inner = inner.get(key) if isinstance(inner, dict) else inner[key]
-        if type(inner) not in (int, float):
-            raise SceneError(
-                f"{where}.parameter: {asked.parameter} is {inner!r} in the scene, accepted: a "
-                "number that it states"
-            )
-        value = float(inner)
-    slack = _ROUNDING * (asked.high - asked.low)
-    if not asked.low - slack <= value <= asked.high + slack:
-        raise SceneError(
-            f"{where}: {asked.parameter} is {value:.9g} in the scene, outside {asked.low:g} .. "
-            f"{asked.high:g}: the branch begins with the scene"
-        )
-    return min(max(value, asked.low), asked.high)
+def _tangent(slopes: Array, like: Array) -> Array:
+    """The direction that the slopes leave free, on the side of another one."""
+    direction: Array = np.linalg.svd(slopes)[2][-1]
+    return direction if direction.dot(like) >= 0.0 else -direction
 
 
 def branch_lines(named: NamedBranch, parameter: str) -> Iterator[str]:

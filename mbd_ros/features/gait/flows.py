@@ -1,83 +1,31 @@
 """A scene as a motion with events, at any value of a parameter."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 
 import numpy as np
 
 from mbd_ros.core.contracts import label
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
 from mbd_ros.errors import SceneError
-from mbd_ros.features.gait.periodic import ReturnMap, candidates, travel_of
+from mbd_ros.features.gait.periodic import ReturnMap
 from mbd_ros.features.gait.task import GaitTask
 from mbd_ros.methods.sensitivities.flow import Segment, Travel
 from mbd_ros.methods.sensitivities.simulated_flow import EndsCycle, SimulatedFlow
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.schema.nearest import nearest
-from mbd_ros.scene.variants import with_inertias, with_numbers, with_sections
 
 SLOPE = "slope"
-
-
-def flow_of(scene: Scene, task: GaitTask) -> SimulatedFlow:
-    """The motion of a scene, cycle by cycle.
-
-    Args:
-        scene: The scene.
-        task: Event of the section, longest cycle and integrator count.
-
-    Raises:
-        SceneError: Nothing in it ends a cycle; names what there is.
-    """
-    solver = {"type": scene.solver.tier, "backend": scene.solver.backend}
-    plain = build_simulation(scene, integrator=task.integrator, solver=solver)
-    parts = plain.system, plain.integrator, plain.stabilization, plain.dt
-    joints = [joint.v for joint in scene.robot.joints if joint.kind != "prismatic"]
-    numbers = plain.system.integrated(np.arange(float(scene.robot.model.nv)))
-    turning = np.flatnonzero(np.isin(numbers, joints))
-    return SimulatedFlow(*parts, _end_of_cycle(scene, plain, task), task.longest, turning)
-
-
-def _end_of_cycle(scene: Scene, plain: Simulation, task: GaitTask) -> EndsCycle:
-    """What ends a cycle: an event by its name, or a way back into the first phase."""
-    if not plain.guards:
-        raise SceneError(
-            f"{scene.name}: nothing happens in it that could end a cycle; accepted: a scene with "
-            "phases, contacts or stops"
-        )
-    if task.event is not None:
-        found = [g for g in plain.guards if task.event in (g, g.partition(".")[2])]
-        if not found:
-            there = ", ".join(nearest(task.event, plain.guards) or plain.guards)
-            raise SceneError(
-                f"{task.source or scene.name}: gait.event: no event is called '{task.event}', "
-                f"there are: {there}"
-            )
-        return lambda segment: bool(set(found) & set(segment.event))
-    system = plain.system
-    if not isinstance(system, PhasedSystem):
-        there = ", ".join(plain.guards)
-        raise SceneError(
-            f"{task.source or scene.name}: gait.event: is missing: which event ends a cycle? "
-            f"There are: {there}"
-        )
-    exits = {label(phase, e.name) for phase in system.phases for e in phase.exits}
-    return lambda s: s.after.mode[0] == system.first and bool(exits & set(s.event))
+_KEPT = 8  # flows: those of a step of a continuation
 
 
 class SceneFamily:
     """The return maps of a scene along a parameter.
 
     Args:
-        scene: The scene.
         task: What is asked.
         parameter: `slope`, a name as `Scene.with_` takes them, or empty without one.
-
-    Attributes:
-        scene: As given.
-        task: As given.
     """
 
     def __init__(self, scene: Scene, task: GaitTask, parameter: str = "") -> None:
@@ -93,7 +41,7 @@ class SceneFamily:
         """
         if self._parameter == SLOPE:
             return self._sloping(self._gravity(value))
-        return with_numbers(self.scene, {self._parameter: value})
+        return self.scene.with_({self._parameter: value})
 
     def flow(self, value: float | None = None) -> SimulatedFlow:
         """The motion at a value of the parameter; None for the scene as it is."""
@@ -126,11 +74,11 @@ class SceneFamily:
         """The scene with another gravity, where it states its own one, and the same inertias."""
         robot = self.scene.entries.get("robot") or {}
         if "gravity" in robot:
-            scene = with_sections(self.scene, robot={**robot, "gravity": gravity})
+            scene = self.scene.with_(robot={**robot, "gravity": gravity})
         else:
-            scene = with_sections(self.scene, gravity=gravity)
+            scene = self.scene.with_(gravity=gravity)
         changed = any(recipe.inertias for recipe in self.scene.robot.recipes)
-        return with_inertias(scene, self.scene.robot.inertias()) if changed else scene
+        return scene.with_inertias(self.scene.robot.inertias()) if changed else scene
 
     def _turned(self) -> tuple[float, float, float]:
         """Gravity along the downhill direction, 0, and along the normal [m/s^2]."""
@@ -148,22 +96,47 @@ class SceneFamily:
         return [down * along[0], down * along[1], -size * math.cos(slope)]
 
 
-_KEPT = 8  # flows: those of a step of a continuation
+def flow_of(scene: Scene, task: GaitTask) -> SimulatedFlow:
+    """The motion of a scene, cycle by cycle.
 
-
-def travel_for(flow: SimulatedFlow, segments: Sequence[Segment], task: GaitTask) -> Travel:
-    """The travel of a gait: as named, or found.
+    Args:
+        scene: The scene.
+        task: Event of the section, longest cycle and integrator count.
 
     Raises:
-        SceneError: A name of nothing that travels.
+        SceneError: Nothing in it ends a cycle; names what there is.
     """
-    known = {one.name: one for one in candidates(flow.system)}
-    if task.travel is None:
-        return travel_of(flow, segments, tuple(known.values()))
-    for name in task.travel:
-        if name not in known:
-            there = ", ".join(known) or "none"
+    solver = {"type": scene.solver.tier, "backend": scene.solver.backend}
+    plain = scene.simulation(integrator=task.integrator, solver=solver)
+    parts = plain.system, plain.integrator, plain.stabilization, plain.dt
+    joints = [joint.v for joint in scene.robot.joints if joint.kind != "prismatic"]
+    numbers = plain.system.integrated(np.arange(float(scene.robot.model.nv)))
+    turning = np.flatnonzero(np.isin(numbers, joints))
+    return SimulatedFlow(*parts, _end_of_cycle(scene, plain, task), task.longest, turning)
+
+
+def _end_of_cycle(scene: Scene, plain: Simulation, task: GaitTask) -> EndsCycle:
+    """What ends a cycle: an event by its name, or a way back into the first phase."""
+    if not plain.guards:
+        raise SceneError(
+            f"{scene.name}: nothing happens in it that could end a cycle; accepted: a scene with "
+            "phases, contacts or stops"
+        )
+    if task.event is not None:
+        found = [g for g in plain.guards if task.event in (g, g.partition(".")[2])]
+        if not found:
+            there = ", ".join(nearest(task.event, plain.guards) or plain.guards)
             raise SceneError(
-                f"{task.source}: gait.travel: '{name}' does not travel, there are: {there}"
+                f"{task.source or scene.name}: gait.event: no event is called '{task.event}', "
+                f"there are: {there}"
             )
-    return Travel(tuple(known[name] for name in task.travel))
+        return lambda segment: bool(set(found) & set(segment.event))
+    system = plain.system
+    if not isinstance(system, PhasedSystem):
+        there = ", ".join(plain.guards)
+        raise SceneError(
+            f"{task.source or scene.name}: gait.event: is missing: which event ends a cycle? "
+            f"There are: {there}"
+        )
+    exits = {label(phase, e.name) for phase in system.phases for e in phase.exits}
+    return lambda s: s.after.mode[0] == system.first and bool(exits & set(s.event))

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -32,27 +32,10 @@ from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.task_reader import read_task
 
-# ---- job --------------------------------------------------------------------------------------
-# Periodic motions of a scene: `mbd-ros gait`.
-
-
 _SHOWN = 6  # multipliers in a line
 _SMALL = 1.0e-9  # multiplier that is not shown: what differences leave of none
 
-
-class Where(NamedTuple):
-    """Where a scan of a basin is done.
-
-    Attributes:
-        workers: How many cores; None for all.
-        scheduler: Of a Dask cluster.
-    """
-
-    workers: int | None = None
-    scheduler: str | None = None
-
-
-_HERE = Where()
+_PAGES = (".html", ".htm")
 
 
 def gait(
@@ -89,7 +72,7 @@ def gait(
     remarks: list[str] = []
     with watching(progress):
         asked = task_of(scene, task)
-        result = run_gait(scene, asked, say or remarks.append, Where(workers, scheduler))
+        result = run_gait(scene, asked, say or remarks.append, workers, scheduler)
     if say is None:
         result.metadata["remarks"] = remarks
     return result
@@ -104,8 +87,10 @@ def task_of(scene: Scene, task: str | Path | Mapping[str, Any] | None) -> GaitTa
     return gait_task(dict(task or {}), "gait")
 
 
-def run_gait(scene: Scene, task: GaitTask, say: Say, where: Where = _HERE) -> Result:
-    """See `gait`."""
+def run_gait(
+    scene: Scene, task: GaitTask, say: Say, workers: int | None, scheduler: str | None
+) -> Result:
+    """Do the task of `gait`."""
     along = task.continuation
     family = SceneFamily(scene, task, "" if along is None else along.parameter)
     if along is not None:
@@ -125,7 +110,7 @@ def run_gait(scene: Scene, task: GaitTask, say: Say, where: Where = _HERE) -> Re
     if along is not None:
         tables[BRANCHES] = _branches(family, gaits, say)
     if task.basin is not None:
-        tables[BASIN] = _basin(family, gaits, say, where)
+        tables[BASIN] = _basin(family, gaits, say, workers, scheduler)
     topics = state_topics(scene.robot, ("position", "velocity", "effort"))
     inputs = {"task": task.source or None}
     return Result(tables, metadata_of("gait", scene, inputs, topics))
@@ -176,26 +161,31 @@ def _branches(family: SceneFamily, gaits: Sequence[Gait], say: Say) -> Table:
     return branch_table(family.flow(), found, gaits)
 
 
-def _basin(family: SceneFamily, gaits: Sequence[Gait], say: Say, where: Where) -> Table:
+def _basin(
+    family: SceneFamily,
+    gaits: Sequence[Gait],
+    say: Say,
+    workers: int | None,
+    scheduler: str | None,
+) -> Table:
     from mbd_ros.features.gait.basin import basin_of, outcome_word
 
     assert family.task.basin is not None
-    outcomes = basin_of(family, gaits, family.task.basin, *where)
+    outcomes = basin_of(family, gaits, family.task.basin, workers, scheduler)
     words = [outcome_word(one.number) for one in outcomes]
     counts = ", ".join(f"{word} {words.count(word)}" for word in sorted(set(words)))
     say(f"basin: {len(words)} starts: {counts}")
     return basin_table(outcomes)
 
 
-# ---- to file ----------------------------------------------------------------------------------
-# Gaits into files: `mbd-ros gait`.
-
-
-_PAGES = (".html", ".htm")
-
-
 def gait_to(
-    scene: Scene, task: Path | None, out: Path | None, page: Path | None, say: Say, where: Where
+    scene: Scene,
+    task: Path | None,
+    out: Path | None,
+    page: Path | None,
+    say: Say,
+    workers: int | None = None,
+    scheduler: str | None = None,
 ) -> None:
     """Find gaits, and write them where a place is given.
 
@@ -205,7 +195,8 @@ def gait_to(
         out: The motion of the first gait; its suffix chooses the format.
         page: A page for people.
         say: Is told what was found, a line each.
-        where: Where basins are scanned.
+        workers: How many cores scan a basin; None for all.
+        scheduler: Of a Dask cluster, in place of them.
 
     Raises:
         MbdError: As `gait`, or a place that cannot be written to.
@@ -220,7 +211,7 @@ def gait_to(
             check_place(place)
     if page is not None and not page.parent.is_dir():
         raise DataError(f"{page}: directory {page.parent} does not exist")
-    result = run_gait(scene, asked, say, where)
+    result = run_gait(scene, asked, say, workers, scheduler)
     if out is not None:
         write_tables(result, out, say)
     if page is not None:

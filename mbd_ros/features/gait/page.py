@@ -1,4 +1,4 @@
-"""Gaits on one page that needs nothing else."""
+"""Gaits on one page that needs nothing else: tables, and pictures of motions, branches, basins."""
 
 import base64
 import html
@@ -15,90 +15,9 @@ from mbd_ros.files.output_file import replacing
 from mbd_ros.files.plot import Picture
 from mbd_ros.files.table import MAIN, TIME, Result, Table
 
-# Pictures of gaits: portraits, branches, basins.
-
 _WIDTH, _HEIGHT = 8.0, 3.4  # in
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
 _SYMBOLS = {1: "s", 2: "D", 3: "^"}  # of marks
-
-
-def portrait(samples: Table) -> Picture:
-    """Joints over time, and velocity over position."""
-    picture, (left, right) = _pair()
-    names = [name.removesuffix(".position") for name in samples if name.endswith(".position")]
-    for name in (name for name in names if f"{name}.velocity" in samples):
-        left.plot(samples[TIME], samples[f"{name}.position"], lw=1.2, label=name)
-        right.plot(samples[f"{name}.position"], samples[f"{name}.velocity"], lw=1.2)
-    left.set_xlabel("time [s]")
-    left.set_ylabel("position [rad or m]")
-    right.set_xlabel("position")
-    right.set_ylabel("velocity")
-    left.legend(fontsize=6)
-    return picture
-
-
-def diagram(branches: Table, parameter: str) -> Picture:
-    """Period by the parameter, and the largest multipliers; unstable parts are thin and dotted."""
-    picture, (left, right) = _pair()
-    for number in np.unique(branches["branch"]):
-        rows = branches["branch"] == number
-        colour = _COLOURS[int(number - 1) % len(_COLOURS)]
-        at, cycles = branches["parameter"][rows], branches["cycles"][rows]
-        size = np.hypot(branches["multiplier_1.real"], branches["multiplier_1.imaginary"])[rows]
-        label = f"branch {number}, {int(cycles[0])} cycle{'s' * bool(cycles[0] > 1)}"
-        for axes, values in ((left, branches["period"][rows] / cycles), (right, size)):
-            _stretches(axes, at, values, branches["stable"][rows].astype(bool), colour)
-            for mark, symbol in _SYMBOLS.items():
-                here = branches["mark"][rows] == mark
-                axes.plot(at[here], values[here], symbol, ms=5, color=colour)
-        left.plot([], [], color=colour, label=label)
-    right.axhline(1.0, lw=0.6, color="gray")
-    right.set_yscale("log")
-    left.set_ylabel("period / cycles [s]")
-    right.set_ylabel("largest |multiplier|")
-    for axes in (left, right):
-        axes.set_xlabel(parameter)
-    left.legend(fontsize=6)
-    return picture
-
-
-def basin(starts: Table) -> Picture | None:
-    """Outcomes on the grid of two joints; None for grids of another number."""
-    names = [name for name in starts if name not in ("outcome", "cycles")]
-    if len(names) != 2:
-        return None
-    picture, (left, right) = _pair()
-    x, y = (starts[name] for name in names)
-    for axes, values, title in (
-        (left, starts["outcome"], "gait (0 falls, -1 undecided)"),
-        (right, starts["cycles"], "cycles until that is known"),
-    ):
-        drawn = axes.scatter(x, y, c=values, s=10, marker="s", cmap="viridis")
-        picture.colorbar(drawn, ax=axes, label=title)
-        axes.set_xlabel(names[0])
-        axes.set_ylabel(names[1])
-    return picture
-
-
-def _stretches(axes: Any, at: Array, values: Array, stable: Array, colour: str) -> None:
-    for chosen, style in ((stable, "-"), (~stable, ":")):
-        near = chosen | np.roll(chosen, 1)  # up to where it changes
-        near[0] = chosen[0]
-        axes.plot(at, np.where(near, values, np.nan), style, color=colour, lw=1.2)
-
-
-def _pair() -> tuple[Picture, Any]:
-    picture = Picture(figsize=(_WIDTH, _HEIGHT), layout="constrained")
-    FigureCanvasAgg(picture)
-    axes: Any = picture.subplots(1, 2)
-    for one in axes:
-        one.grid(visible=True, alpha=0.3)
-        one.tick_params(labelsize=7)
-        one.xaxis.label.set_size(8)
-        one.yaxis.label.set_size(8)
-    return picture, axes
-
-
 _STYLE = (
     "body{font:15px sans-serif;max-width:60em;margin:2em auto;padding:0 1em}"
     "table{border-collapse:collapse;font-size:13px}td,th{padding:.2em .7em;text-align:right;"
@@ -155,6 +74,73 @@ def _transposed(table: Table) -> Iterator[str]:
     yield "</table>"
 
 
+def _text(value: object) -> str:
+    return f"{value:.12g}" if isinstance(value, float) else str(value)
+
+
+def _image(png: bytes, text: str) -> str:
+    return f'<img alt="{text}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+
+
+def portrait(samples: Table) -> Picture:
+    """Joints over time, and velocity over position."""
+    picture, (left, right) = _pair()
+    names = [name.removesuffix(".position") for name in samples if name.endswith(".position")]
+    for name in (name for name in names if f"{name}.velocity" in samples):
+        left.plot(samples[TIME], samples[f"{name}.position"], lw=1.2, label=name)
+        right.plot(samples[f"{name}.position"], samples[f"{name}.velocity"], lw=1.2)
+    left.set_xlabel("time [s]")
+    left.set_ylabel("position [rad or m]")
+    right.set_xlabel("position")
+    right.set_ylabel("velocity")
+    left.legend(fontsize=6)
+    return picture
+
+
+def _pair() -> tuple[Picture, Any]:
+    picture = Picture(figsize=(_WIDTH, _HEIGHT), layout="constrained")
+    FigureCanvasAgg(picture)
+    axes: Any = picture.subplots(1, 2)
+    for one in axes:
+        one.grid(visible=True, alpha=0.3)
+        one.tick_params(labelsize=7)
+        one.xaxis.label.set_size(8)
+        one.yaxis.label.set_size(8)
+    return picture, axes
+
+
+def diagram(branches: Table, parameter: str) -> Picture:
+    """Period by the parameter, and the largest multipliers; unstable parts are thin and dotted."""
+    picture, (left, right) = _pair()
+    for number in np.unique(branches["branch"]):
+        rows = branches["branch"] == number
+        colour = _COLOURS[int(number - 1) % len(_COLOURS)]
+        at, cycles = branches["parameter"][rows], branches["cycles"][rows]
+        size = np.hypot(branches["multiplier_1.real"], branches["multiplier_1.imaginary"])[rows]
+        label = f"branch {number}, {int(cycles[0])} cycle{'s' * bool(cycles[0] > 1)}"
+        for axes, values in ((left, branches["period"][rows] / cycles), (right, size)):
+            _stretches(axes, at, values, branches["stable"][rows].astype(bool), colour)
+            for mark, symbol in _SYMBOLS.items():
+                here = branches["mark"][rows] == mark
+                axes.plot(at[here], values[here], symbol, ms=5, color=colour)
+        left.plot([], [], color=colour, label=label)
+    right.axhline(1.0, lw=0.6, color="gray")
+    right.set_yscale("log")
+    left.set_ylabel("period / cycles [s]")
+    right.set_ylabel("largest |multiplier|")
+    for axes in (left, right):
+        axes.set_xlabel(parameter)
+    left.legend(fontsize=6)
+    return picture
+
+
+def _stretches(axes: Any, at: Array, values: Array, stable: Array, colour: str) -> None:
+    for chosen, style in ((stable, "-"), (~stable, ":")):
+        near = chosen | np.roll(chosen, 1)  # up to where it changes
+        near[0] = chosen[0]
+        axes.plot(at, np.where(near, values, np.nan), style, color=colour, lw=1.2)
+
+
 def _marks(table: Table, parameter: str) -> Iterator[str]:
     rows = [i for i, mark in enumerate(table["mark"]) if mark]
     if not rows:
@@ -169,9 +155,19 @@ def _marks(table: Table, parameter: str) -> Iterator[str]:
     yield "</table>"
 
 
-def _text(value: object) -> str:
-    return f"{value:.12g}" if isinstance(value, float) else str(value)
-
-
-def _image(png: bytes, text: str) -> str:
-    return f'<img alt="{text}" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+def basin(starts: Table) -> Picture | None:
+    """Outcomes on the grid of two joints; None for grids of another number."""
+    names = [name for name in starts if name not in ("outcome", "cycles")]
+    if len(names) != 2:
+        return None
+    picture, (left, right) = _pair()
+    x, y = (starts[name] for name in names)
+    for axes, values, title in (
+        (left, starts["outcome"], "gait (0 falls, -1 undecided)"),
+        (right, starts["cycles"], "cycles until that is known"),
+    ):
+        drawn = axes.scatter(x, y, c=values, s=10, marker="s", cmap="viridis")
+        picture.colorbar(drawn, ax=axes, label=title)
+        axes.set_xlabel(names[0])
+        axes.set_ylabel(names[1])
+    return picture

@@ -1,14 +1,18 @@
-"""Motions that repeat: Newton's method on a return map."""
+"""Motions that repeat: Newton's method on a return map.
 
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+The return map leads from the state just before an event of a gait to the same event a cycle later,
+moved back along what travels. A gait is its fixed point, P(y) = y; the eigenvalues of dP/dy, the
+Floquet multipliers, say whether it is stable.
+"""
+
+from typing import NamedTuple
 
 import numpy as np
 
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import FORGOTTEN
 from mbd_ros.errors import FallError, SolveError
-from mbd_ros.methods.sensitivities.flow import HybridFlow, Segment, Travel, TravelCoordinate
+from mbd_ros.methods.sensitivities.flow import HybridFlow, Segment, Travel
 from mbd_ros.methods.sensitivities.saltation import (
     landed,
     landing,
@@ -17,8 +21,11 @@ from mbd_ros.methods.sensitivities.saltation import (
     transition,
 )
 
-# ---- return map -------------------------------------------------------------------------------
-# The map from one event of a gait to the same event a cycle later.
+_CLOSED = 1.0e-11  # of 1 + the largest entry of the state: a residual that is none
+_ACCEPTED = 1.0e-9  # the same: enough where steps gain no more
+_MOST_STEPS = 40  # of Newton's method
+_SHORTEST = 1.0e-3  # factor of a Newton step
+_STRIDES = 60  # of the motion itself, where Newton's method finds no way
 
 
 class Passage(NamedTuple):
@@ -106,38 +113,6 @@ class ReturnMap:
         return found
 
 
-def multipliers(derivative: Array) -> Array:
-    """Floquet multipliers, the largest first; directions in which the map forgets all are 0.
-
-    The map has no more multipliers than its derivative has ranks: eigenvalues are taken on its
-    range, since a nilpotent part would turn rounding into multipliers of its square root.
-
-    Args:
-        derivative: Of a return map, shape (n, n).
-
-    Returns:
-        Shape (n,), complex; those with a positive imaginary part before their conjugates.
-    """
-    left, sizes, right = np.linalg.svd(derivative)
-    rank = int(np.sum(sizes > FORGOTTEN * max(1.0, sizes[0])))
-    on_range = (sizes[:rank, None] * right[:rank]).dot(left[:, :rank])
-    found = np.zeros(len(derivative), complex)
-    found[:rank] = np.linalg.eigvals(on_range)
-    order = sorted(found, key=lambda m: (-round(abs(m), 12), -m.real, -m.imag))
-    return np.array(order)
-
-
-# ---- periodic ---------------------------------------------------------------------------------
-# Motions that repeat: Newton's method on a return map.
-
-
-_CLOSED = 1.0e-11  # of 1 + the largest entry of the state: a residual that is none
-_ACCEPTED = 1.0e-9  # the same: enough where steps gain no more
-_MOST_STEPS = 40
-_SHORTEST = 1.0e-3  # of a Newton step
-_STRIDES = 60  # of the motion itself, where Newton's method finds no way
-
-
 class PeriodicMotion(NamedTuple):
     """A motion that comes back to itself, up to its travel.
 
@@ -223,16 +198,6 @@ def newton(way: ReturnMap, passage: Passage) -> PeriodicMotion:
     return PeriodicMotion(passage, derivative, multipliers(derivative))
 
 
-def is_closed(passage: Passage) -> bool:
-    """Whether the motion comes back to within rounding."""
-    return _size(passage) <= _CLOSED * _scale(passage)
-
-
-def is_accepted(passage: Passage) -> bool:
-    """Whether it comes back well enough, where no step brings it nearer."""
-    return _size(passage) <= _ACCEPTED * _scale(passage)
-
-
 def _shorter(way: ReturnMap, passage: Passage, step: Array) -> Passage | None:
     """The passage after a Newton step, halved until the residual is smaller; None without any."""
     factor = 1.0
@@ -252,6 +217,11 @@ def _size(passage: Passage) -> float:
     return float(np.abs(passage.residual).max())
 
 
+def is_closed(passage: Passage) -> bool:
+    """Whether the motion comes back to within rounding."""
+    return _size(passage) <= _CLOSED * _scale(passage)
+
+
 def _scale(passage: Passage) -> float:
     """One, or the size of velocities and states of parts where these are larger."""
     y = passage.begin
@@ -259,80 +229,27 @@ def _scale(passage: Passage) -> float:
     return 1.0 + float(max(sizes))
 
 
-# ---- invariance -------------------------------------------------------------------------------
-# Along which coordinates a motion may begin anywhere.
+def is_accepted(passage: Passage) -> bool:
+    """Whether it comes back well enough, where no step brings it nearer."""
+    return _size(passage) <= _ACCEPTED * _scale(passage)
 
 
-_ASIDE = 1.0e-3  # m: how far a motion is moved to see whether it changes
-_SAME = 1.0e-7  # change of rates and guards a metre, over the largest entry
+def multipliers(derivative: Array) -> Array:
+    """Floquet multipliers, the largest first; directions in which the map forgets all are 0.
 
-
-def candidates(system: Any) -> tuple[TravelCoordinate, ...]:
-    """Translations of free bodies, and of slides between the world and a robot.
-
-    Args:
-        system: The system.
-    """
-    robot, model = system.robot, system.model
-    kept = {int(v): i for i, v in enumerate(system.integrated(np.arange(float(model.nv))))}
-    chart = system.chart.model
-    q_of = {int(j.idx_v): int(j.idx_q) for j in chart.joints if j.nv}
-    found = [
-        TravelCoordinate(f"{base.name}.position.{axis}", q_of[kept[base.v.start]], v, number)
-        for base in robot.bases
-        if (v := kept.get(base.v.start)) is not None
-        for number, axis in enumerate("xyz")
-    ]
-    carried = {0}
-    for joint in robot.joints:
-        index = next(i for i, j in enumerate(model.joints) if j.nv and j.idx_v == joint.v)
-        if joint.kind != "prismatic" or int(model.parents[index]) not in carried:
-            continue
-        carried.add(index)
-        if joint.v in kept:
-            v = kept[joint.v]
-            found.append(TravelCoordinate(joint.name, q_of[v], v))
-    return tuple(found)
-
-
-def travel_of(
-    flow: Any, segments: Sequence[Segment], coordinates: Sequence[TravelCoordinate]
-) -> Travel:
-    """The directions along which neither rates nor rows nor guards nor resets change.
+    The map has no more multipliers than its derivative has ranks: eigenvalues are taken on its
+    range, since a nilpotent part would turn rounding into multipliers of its square root.
 
     Args:
-        flow: The motion.
-        segments: A cycle of it.
-        coordinates: Those that may be such directions.
+        derivative: Of a return map, shape (n, n).
+
+    Returns:
+        Shape (n,), complex; those with a positive imaginary part before their conjugates.
     """
-    if not coordinates:
-        return Travel()
-    changes, sizes = [], [1.0]
-    for x, seen in _places(flow, segments):
-        along = Travel(coordinates).tangents(x, flow.size)
-        near = seen(x)
-        sizes.append(float(np.abs(near).max(initial=0.0)))
-        sides = [
-            [seen(flow.plus(x, sign * _ASIDE * one)) for one in along.T] for sign in (1.0, -1.0)
-        ]
-        changes.append((np.array(sides[0]) - np.array(sides[1])).T / (2.0 * _ASIDE))
-    every = np.vstack(changes)
-    _, found, right = np.linalg.svd(every, full_matrices=True)
-    count = int(np.sum(found > _SAME * max(sizes)))
-    return Travel(coordinates, right[count:])
-
-
-def _places(flow: Any, segments: Sequence[Segment]) -> Iterator[tuple[State, Any]]:
-    """States, and what must not change there."""
-
-    def within(x: State) -> Array:
-        return np.concatenate((flow.rate(x), flow.open(x)))
-
-    for segment in segments:
-        yield segment.begin, within
-
-        def at_end(x: State, segment: Segment = segment) -> Array:
-            after = flow.minus(flow.reset(segment, x), x)
-            return np.concatenate((within(x), [flow.value(segment, x)], after))
-
-        yield segment.end, at_end
+    left, sizes, right = np.linalg.svd(derivative)
+    rank = int(np.sum(sizes > FORGOTTEN * max(1.0, sizes[0])))
+    on_range = (sizes[:rank, None] * right[:rank]).dot(left[:, :rank])
+    found = np.zeros(len(derivative), complex)
+    found[:rank] = np.linalg.eigvals(on_range)
+    order = sorted(found, key=lambda m: (-round(abs(m), 12), -m.real, -m.imag))
+    return np.array(order)

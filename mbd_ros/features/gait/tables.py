@@ -22,12 +22,10 @@ from mbd_ros.scene.built_scene import Scene
 if TYPE_CHECKING:
     from mbd_ros.features.gait.basin import Outcome
 
-
-# ---- measures ---------------------------------------------------------------------------------
-# Length, speed and energy of a gait.
-
-
-SAMPLES = 201  # a segment: odd, as Simpson's rule asks
+_WORK_SAMPLES = 201  # of a segment: odd, as Simpson's rule asks
+GAITS, BRANCHES, BASIN = "gaits", "branches", "basin"
+MARKS = ("", FOLD, DOUBLING, TORUS)  # by their numbers in a table
+_SHOWN_STATES = 201  # states of a segment
 
 
 class Measures(NamedTuple):
@@ -52,86 +50,6 @@ class Measures(NamedTuple):
     cost_of_transport: float | None
 
 
-def measures_of(
-    scene: Scene, task: GaitTask, flow: SimulatedFlow, travel: Travel, motion: PeriodicMotion
-) -> Measures:
-    """Measures of a gait; see `Measures`."""
-    passage, system = motion.passage, flow.system
-    period = passage.period
-    moved = travel.place(passage.segments[-1].end) - travel.place(passage.begin)
-    length = float(np.linalg.norm(moved)) if len(moved) else None
-    if task.step_between:
-        length = _distance(scene, flow, passage.segments[-1].end, task.step_between)
-    lost = sum(system.energy(s.end) - system.energy(s.after) for s in passage.segments)
-    positive, negative = _work(flow, motion)
-    weight = pin.computeTotalMass(scene.robot.model) * float(
-        np.linalg.norm(scene.robot.model.gravity.linear)
-    )
-    is_known = length is not None and length > 0.0 and weight > 0.0
-    return Measures(
-        period,
-        length,
-        None if length is None else length / period,
-        float(lost),
-        positive,
-        negative,
-        positive / (weight * float(length or 1.0)) if is_known else None,
-    )
-
-
-def _work(flow: SimulatedFlow, motion: PeriodicMotion) -> tuple[float, float]:
-    """Positive and negative work of the actuators, by Simpson's rule."""
-    if not _working(flow):
-        return 0.0, 0.0
-    positive = negative = 0.0
-    for segment in motion.passage.segments:
-        duration = segment.end.t - segment.begin.t
-        if duration <= 0.0:
-            continue
-        powers = np.array([_powers(flow, x) for x in flow.states(segment, SAMPLES)])
-        weights = np.full(SAMPLES, 2.0)
-        weights[1::2], weights[[0, -1]] = 4.0, 1.0
-        weights *= duration / (3.0 * (SAMPLES - 1))
-        positive += float(weights.dot(np.maximum(powers, 0.0)).sum())
-        negative += float(weights.dot(np.minimum(powers, 0.0)).sum())
-    return positive, negative
-
-
-def _working(flow: SimulatedFlow) -> list[Load]:
-    loads = flow.system.loads
-    return [one for one in (*loads.actuators, *loads.forces) if one.gives_work]
-
-
-def _powers(flow: SimulatedFlow, y: State) -> Array:
-    """Power of each actuator [W], shape (n,)."""
-    system = flow.system
-    x = system.expand(y)
-    loads, k = system.loads, system.k
-    u, found = loads.inputs(x, None), []
-    for actuator in _working(flow):
-        k.refresh(x.q, x.v, actuator.reads)
-        found.append(float(actuator.force(k, x, u).dot(x.v)))
-    return np.array(found)
-
-
-def _distance(scene: Scene, flow: SimulatedFlow, y: State, frames: tuple[str, ...]) -> float:
-    """Distance of two frames [m]."""
-    robot, x = scene.robot, flow.system.expand(y)
-    data = robot.model.createData()
-    pin.framesForwardKinematics(robot.model, data, x.q)
-    one, other = (data.oMf[robot.frame(name)].translation for name in frames)
-    return float(np.linalg.norm(one - other))
-
-
-# ---- tables -----------------------------------------------------------------------------------
-# Tables of gaits, of their motion, of branches and basins.
-
-
-GAITS, BRANCHES, BASIN = "gaits", "branches", "basin"
-MARKS = ("", FOLD, DOUBLING, TORUS)  # by their numbers in a table
-_SHOWN = 201  # states of a segment
-
-
 def gait_table(flow: SimulatedFlow, gaits: Sequence[Gait], found: Sequence[Measures]) -> Table:
     """A row a gait.
 
@@ -153,6 +71,49 @@ def gait_table(flow: SimulatedFlow, gaits: Sequence[Gait], found: Sequence[Measu
     return Table(columns)
 
 
+def _measured(found: Sequence[Measures]) -> list[Column]:
+    columns = []
+    for name, unit in (
+        ("travel", "m"),
+        ("speed", "m/s"),
+        ("energy_lost", "J"),
+        ("positive_work", "J"),
+        ("negative_work", "J"),
+        ("cost_of_transport", ""),
+    ):
+        values = [getattr(one, name) for one in found]
+        if None not in values:
+            columns.append(Column(name, np.array(values, dtype=np.float64), unit))
+    return columns
+
+
+def _multiplier_columns(every: Sequence[Array]) -> list[Column]:
+    values, columns = np.array(every), []
+    for i, each in enumerate(values.T, 1):
+        if i == 1 or np.abs(each).max() > 0.0:
+            name = f"multiplier_{i}"
+            columns.append(Column(f"{name}.real", each.real))
+            columns.append(Column(f"{name}.imaginary", each.imag))
+    return columns
+
+
+def state_columns(flow: SimulatedFlow, states: Sequence[State]) -> list[Column]:
+    """Positions and velocities of joints and free bodies, and internal states."""
+    system = flow.system
+    every = [system.expand(y) for y in states]
+    q, v, z = (np.array([getattr(x, key) for x in every]) for key in ("q", "v", "z"))
+    joints, internals = system.robot.joints, system.internals
+    return [
+        *joint_columns(joints, "position", q[:, [joint.q for joint in joints]]),
+        *joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]]),
+        *body_columns(system.robot, whole_bodies(system.robot, q, v, None)),
+        *(
+            Column(name, values, unit)
+            for name, values, unit in zip(internals.names, z.T, internals.units, strict=True)
+        ),
+    ]
+
+
 def motion_table(flow: SimulatedFlow, gait: Gait) -> Table:
     """A gait over the cycles after which it repeats, with the columns of a simulation.
 
@@ -165,7 +126,7 @@ def motion_table(flow: SimulatedFlow, gait: Gait) -> Table:
             continue
         if states:
             del states[-1], segments[-1]
-        some = flow.states(segment, _SHOWN)
+        some = flow.states(segment, _SHOWN_STATES)
         states += [flow.system.expand(y)._replace(mode=y.mode) for y in some]
         segments += [i] * len(some)
     table, _, failure = table_of(flow, states)  # type: ignore[arg-type]
@@ -225,44 +186,72 @@ def basin_table(outcomes: "Sequence[Outcome]") -> Table:
     )
 
 
-def state_columns(flow: SimulatedFlow, states: Sequence[State]) -> list[Column]:
-    """Positions and velocities of joints and free bodies, and internal states."""
+def measures_of(
+    scene: Scene, task: GaitTask, flow: SimulatedFlow, travel: Travel, motion: PeriodicMotion
+) -> Measures:
+    """Length, speed and energy of a gait."""
+    passage, system = motion.passage, flow.system
+    period = passage.period
+    moved = travel.place(passage.segments[-1].end) - travel.place(passage.begin)
+    length = float(np.linalg.norm(moved)) if len(moved) else None
+    if task.step_between:
+        length = _distance(scene, flow, passage.segments[-1].end, task.step_between)
+    lost = sum(system.energy(s.end) - system.energy(s.after) for s in passage.segments)
+    positive, negative = _work(flow, motion)
+    weight = pin.computeTotalMass(scene.robot.model) * float(
+        np.linalg.norm(scene.robot.model.gravity.linear)
+    )
+    is_known = length is not None and length > 0.0 and weight > 0.0
+    return Measures(
+        period,
+        length,
+        None if length is None else length / period,
+        float(lost),
+        positive,
+        negative,
+        positive / (weight * float(length or 1.0)) if is_known else None,
+    )
+
+
+def _distance(scene: Scene, flow: SimulatedFlow, y: State, frames: tuple[str, ...]) -> float:
+    """Distance of two frames [m]."""
+    robot, x = scene.robot, flow.system.expand(y)
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, x.q)
+    one, other = (data.oMf[robot.frame(name)].translation for name in frames)
+    return float(np.linalg.norm(one - other))
+
+
+def _work(flow: SimulatedFlow, motion: PeriodicMotion) -> tuple[float, float]:
+    """Positive and negative work of the actuators, by Simpson's rule."""
+    if not _working(flow):
+        return 0.0, 0.0
+    positive = negative = 0.0
+    for segment in motion.passage.segments:
+        duration = segment.end.t - segment.begin.t
+        if duration <= 0.0:
+            continue
+        powers = np.array([_powers(flow, x) for x in flow.states(segment, _WORK_SAMPLES)])
+        weights = np.full(_WORK_SAMPLES, 2.0)
+        weights[1::2], weights[[0, -1]] = 4.0, 1.0
+        weights *= duration / (3.0 * (_WORK_SAMPLES - 1))
+        positive += float(weights.dot(np.maximum(powers, 0.0)).sum())
+        negative += float(weights.dot(np.minimum(powers, 0.0)).sum())
+    return positive, negative
+
+
+def _working(flow: SimulatedFlow) -> list[Load]:
+    loads = flow.system.loads
+    return [one for one in (*loads.actuators, *loads.forces) if one.gives_work]
+
+
+def _powers(flow: SimulatedFlow, y: State) -> Array:
+    """Power of each actuator [W], shape (n,)."""
     system = flow.system
-    every = [system.expand(y) for y in states]
-    q, v, z = (np.array([getattr(x, key) for x in every]) for key in ("q", "v", "z"))
-    joints, internals = system.robot.joints, system.internals
-    return [
-        *joint_columns(joints, "position", q[:, [joint.q for joint in joints]]),
-        *joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]]),
-        *body_columns(system.robot, whole_bodies(system.robot, q, v, None)),
-        *(
-            Column(name, values, unit)
-            for name, values, unit in zip(internals.names, z.T, internals.units, strict=True)
-        ),
-    ]
-
-
-def _measured(found: Sequence[Measures]) -> list[Column]:
-    columns = []
-    for name, unit in (
-        ("travel", "m"),
-        ("speed", "m/s"),
-        ("energy_lost", "J"),
-        ("positive_work", "J"),
-        ("negative_work", "J"),
-        ("cost_of_transport", ""),
-    ):
-        values = [getattr(one, name) for one in found]
-        if None not in values:
-            columns.append(Column(name, np.array(values, dtype=np.float64), unit))
-    return columns
-
-
-def _multiplier_columns(every: Sequence[Array]) -> list[Column]:
-    values, columns = np.array(every), []
-    for i, each in enumerate(values.T, 1):
-        if i == 1 or np.abs(each).max() > 0.0:
-            name = f"multiplier_{i}"
-            columns.append(Column(f"{name}.real", each.real))
-            columns.append(Column(f"{name}.imaginary", each.imag))
-    return columns
+    x = system.expand(y)
+    loads, k = system.loads, system.k
+    u, found = loads.inputs(x, None), []
+    for actuator in _working(flow):
+        k.refresh(x.q, x.v, actuator.reads)
+        found.append(float(actuator.force(k, x, u).dot(x.v)))
+    return np.array(found)
