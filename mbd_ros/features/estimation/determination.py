@@ -44,7 +44,6 @@ class Determinations:
     """Looks at the rows of a system along its way.
 
     Args:
-        system: The system.
         measured: Joints that are measured.
         ahead: Time that is looked ahead [s].
         limit: Amplification that counts as singular.

@@ -26,8 +26,8 @@ from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import resolve
 
 EFFORTS = "efforts"  # name of the loads that measured efforts are
-_UNKNOWN = 10.0  # rad/s^2 or m/s^2, of unknown efforts at the start
-_UNSTEADY = 100.0  # rad/s^3 or m/s^3, of the rates of those that drift
+_UNKNOWN_EFFORT = 10.0  # rad/s^2 or m/s^2, of unknown efforts at the start
+_UNKNOWN_RATE = 100.0  # rad/s^3 or m/s^3, of the rates of those that drift
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,6 @@ class Estimation:
     Attributes:
         scene: With what stands for measured efforts and disturbances.
         task: What was asked.
-        process: Its process.
         estimator: Has not begun.
         scale: Efforts that accelerate each joint by 1 rad/s^2 or m/s^2, shape (nv,).
         disturbed: Joints with an unknown effort.
@@ -82,10 +81,10 @@ class Estimation:
         )
         z = np.zeros(nz)
         at = [self.scene.robot.joint(name).v for name in self.disturbed]
-        z[self.disturbance] = _UNKNOWN * self.scale[at]
+        z[self.disturbance] = _UNKNOWN_EFFORT * self.scale[at]
         if self.disturbed and task.drifting:
             part = _disturbance(self.scene)
-            z[part.efforts.stop : part.z.stop] = _UNSTEADY * self.scale[at]
+            z[part.efforts.stop : part.z.stop] = _UNKNOWN_RATE * self.scale[at]
         z[list(self.parameters.values())] = list(self.deviations.values())
         lower = tangent.lowered(self.process.start)
         P: Array = (lower * np.concatenate((deviation, z)) ** 2).dot(lower.T)
@@ -123,50 +122,6 @@ def estimation_of(
     return Estimation(unknowns.scene, task, process, estimator, scale, joints, unknowns.deviations)
 
 
-def made_ready(scene: Scene, task: EstimateTask, disturbed: Sequence[str]) -> Scene:
-    """The scene with what stands for measured efforts and unknown ones.
-
-    Args:
-        scene: As it is read.
-        task: What is asked.
-        disturbed: Joints with an unknown effort.
-
-    Raises:
-        ModelError: Unknown joint.
-    """
-    return _disturbed(_driven(scene, task), disturbed, task.drifting)
-
-
-def effort_scale(system: System, x: State) -> Array:
-    """Efforts that accelerate each joint alone by 1 rad/s^2 or m/s^2, shape (nv of the robot,)."""
-    M = pin.crba(system.robot.model, system.robot.model.createData(), x.q)
-    return np.array(np.diag(M))
-
-
-def _driven(scene: Scene, task: EstimateTask) -> Scene:
-    """The scene with efforts as inputs, where these are measured."""
-    if task.inputs == "commands":
-        return scene
-    scene = scene.without(("actuators", "muscles"))
-    if task.inputs == "none":
-        return scene
-    names = [joint.name for joint in scene.robot.joints]
-    efforts = Ideal(scene.robot, joints=names)
-    efforts.name = EFFORTS
-    return scene.holding(actuators=(efforts,))
-
-
-def _disturbed(scene: Scene, joints: Sequence[str], drifting: bool) -> Scene:
-    if not joints:
-        return scene
-    part = EffortDisturbance(scene.robot, joints, drifting=drifting)
-    return scene.holding(forces=(*scene.parts.get("forces", ()), part))
-
-
-def _disturbance(scene: Scene) -> EffortDisturbance:
-    return next(part for part in scene.forces if isinstance(part, EffortDisturbance))
-
-
 def _sensors(
     scene: Scene, task: EstimateTask, measured: Sequence[str], rated: Sequence[str]
 ) -> list[Sensor]:
@@ -188,6 +143,64 @@ def _sensors(
             part.name = f"{name}.velocity"
             found.append(part)
     return found
+
+
+def made_ready(scene: Scene, task: EstimateTask, disturbed: Sequence[str]) -> Scene:
+    """The scene with what stands for measured efforts and unknown ones.
+
+    Args:
+        scene: As it is read.
+        task: What is asked.
+        disturbed: Joints with an unknown effort.
+
+    Raises:
+        ModelError: Unknown joint.
+    """
+    return _disturbed(_driven(scene, task), disturbed, task.drifting)
+
+
+def _disturbed(scene: Scene, joints: Sequence[str], drifting: bool) -> Scene:
+    if not joints:
+        return scene
+    part = EffortDisturbance(scene.robot, joints, drifting=drifting)
+    return scene.holding(forces=(*scene.parts.get("forces", ()), part))
+
+
+def _driven(scene: Scene, task: EstimateTask) -> Scene:
+    """The scene with efforts as inputs, where these are measured."""
+    if task.inputs == "commands":
+        return scene
+    scene = scene.without(("actuators", "muscles"))
+    if task.inputs == "none":
+        return scene
+    names = [joint.name for joint in scene.robot.joints]
+    efforts = Ideal(scene.robot, joints=names)
+    efforts.name = EFFORTS
+    return scene.holding(actuators=(efforts,))
+
+
+def effort_scale(system: System, x: State) -> Array:
+    """Efforts that accelerate each joint alone by 1 rad/s^2 or m/s^2, shape (nv of the robot,)."""
+    M = pin.crba(system.robot.model, system.robot.model.createData(), x.q)
+    return np.array(np.diag(M))
+
+
+def _told_apart(system: System, scene: Scene) -> tuple[str, ...]:
+    """Joints whose efforts move the mechanism in different ways: as many as it can move in."""
+    y = system.reduce(scene.initial)
+    respond = system.evaluate(scene.initial, None).respond(np.eye(system.robot.model.nv))
+    moved = system.integrated(respond)
+    joints, chosen, rest = scene.robot.joints, list[str](), moved.copy()
+    floor = FIXED_BY_OTHERS * float(np.linalg.norm(moved, axis=0).max(initial=0.0))
+    for _ in range(len(y.v)):
+        sizes = {j.name: float(np.linalg.norm(rest[:, j.v])) for j in joints}
+        name = max(sizes, key=lambda one: sizes[one])
+        if not sizes[name] > max(floor, math.sqrt(np.finfo(float).eps) * floor):
+            break
+        column = rest[:, scene.robot.joint(name).v] / sizes[name]
+        rest = rest - np.outer(column, column.dot(rest))
+        chosen.append(name)
+    return tuple(j.name for j in joints if j.name in chosen)
 
 
 def _process(
@@ -218,26 +231,12 @@ def _process(
     )
 
 
+def _disturbance(scene: Scene) -> EffortDisturbance:
+    return next(part for part in scene.forces if isinstance(part, EffortDisturbance))
+
+
 def _estimator(task: EstimateTask, process: MechanismProcess, where: str) -> Estimator:
     entry = dict(task.estimator)
     kind = resolve("estimators", entry.pop("type", "extended_kalman"), f"{where}.estimator")
     estimator: Estimator = schema.call(kind, entry, f"{where}.estimator", process)
     return estimator
-
-
-def _told_apart(system: System, scene: Scene) -> tuple[str, ...]:
-    """Joints whose efforts move the mechanism in different ways: as many as it can move in."""
-    y = system.reduce(scene.initial)
-    respond = system.evaluate(scene.initial, None).respond(np.eye(system.robot.model.nv))
-    moved = system.integrated(respond)
-    joints, chosen, rest = scene.robot.joints, list[str](), moved.copy()
-    floor = FIXED_BY_OTHERS * float(np.linalg.norm(moved, axis=0).max(initial=0.0))
-    for _ in range(len(y.v)):
-        sizes = {j.name: float(np.linalg.norm(rest[:, j.v])) for j in joints}
-        name = max(sizes, key=lambda one: sizes[one])
-        if not sizes[name] > max(floor, math.sqrt(np.finfo(float).eps) * floor):
-            break
-        column = rest[:, scene.robot.joint(name).v] / sizes[name]
-        rest = rest - np.outer(column, column.dot(rest))
-        chosen.append(name)
-    return tuple(j.name for j in joints if j.name in chosen)

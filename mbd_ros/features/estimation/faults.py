@@ -1,11 +1,15 @@
-"""Faults: which sensor or which change of a mechanism explains what a model lacks.
+"""Faults of mechanisms, of sensors and of the model that an estimator has.
 
-An unknown effort d on the disturbed joints is estimated. Were the mechanism that of hypothesis h,
-the lacking effort would be d_h, with the accelerations R d_h = a_h - a of both models. The share
+Which change of a mechanism explains the efforts that its model lacks? An unknown effort d on the
+disturbed joints is estimated. Were the mechanism that of hypothesis h, the lacking effort would be
+d_h, with the accelerations R d_h = a_h - a of both models. The share
 
     sum |d - d_h|^2 / sum |d|^2
 
 over the last samples is near 0 for what is the case, near 1 for what explains nothing.
+
+`SensorFaults` tells which sensor stands, jumps or is silent, `InnovationWatch` whether innovations
+are those of a right model, and `Cusum` which residuals are off for long.
 """
 
 import math
@@ -21,11 +25,7 @@ from mbd_ros.core.thresholds import TINY
 from mbd_ros.methods.estimation.kalman_update import Bools, Innovation
 from mbd_ros.methods.estimation.process import SensorSet
 
-# ---- fault naming -----------------------------------------------------------------------------
-# Which change of a mechanism explains the efforts that its model lacks.
-
-
-_EXPLAINED = 0.6  # share of what is not explained, above which nothing is named
+_MOST_UNEXPLAINED = 0.6  # share of what is not explained, above which nothing is named
 _LAG, _DELAYS = 0.1, 8  # longest delay, as a share of the window; how many are tried
 _PAUSE = 0.05  # share of the window between two comparisons
 _FILLED = 0.9  # share of the window that samples must cover
@@ -47,15 +47,14 @@ class Named(NamedTuple):
 
 
 _NOTHING = Named("", {}, 0.0)
-
-
-class _Sample(NamedTuple):
-    """Time, lacking efforts, those of the hypotheses, shape (h, k), size in deviations."""
-
-    t: float
-    lacking: Array
-    expected: Array
-    size: float
+_MEMORY_FIELDS = (
+    *("_t", "_heard", "_counted", "_value", "_stood", "_pushed", "_peak", "_error"),
+    *("_is_frozen", "_is_out", "_came"),
+)
+_FROZEN_GATES = 2.0  # gates, of normalised innovations added up
+_FEWEST_STANDING = 5  # samples with one value, from which on it may be a frozen sensor
+BAND_99 = 2.5758293035489004  # of a normal distribution, both sides
+_FEWEST_NUMBERS = 50  # numbers, below which nothing is said
 
 
 class FaultNaming:
@@ -126,9 +125,18 @@ class FaultNaming:
         size = math.sqrt(sum(sample.size for sample in samples) / len(samples))
         ranked = sorted(shares, key=lambda name: shares[name])
         is_clear = len(ranked) < 2 or shares[ranked[0]] <= _BETTER * shares[ranked[1]]
-        is_told = bool(ranked) and shares[ranked[0]] <= _EXPLAINED and is_clear
+        is_told = bool(ranked) and shares[ranked[0]] <= _MOST_UNEXPLAINED and is_clear
         name = ranked[0] if is_told and size > self._significant else ""
         return Named(name, shares, size)
+
+
+class _Sample(NamedTuple):
+    """Time, lacking efforts, those of the hypotheses, shape (h, k), size in deviations."""
+
+    t: float
+    lacking: Array
+    expected: Array
+    size: float
 
 
 def _unexplained(d: Array, expected: Array) -> Array:
@@ -149,18 +157,6 @@ def _unexplained(d: Array, expected: Array) -> Array:
     return np.min(found, axis=0)
 
 
-# ---- sensor faults ----------------------------------------------------------------------------
-# What is wrong with sensors: what stands while the machine moves, what jumps, what is silent.
-
-
-_KEPT = (
-    *("_t", "_heard", "_counted", "_value", "_stood", "_pushed", "_peak", "_error"),
-    *("_is_frozen", "_is_out", "_came"),
-)
-_PUSHES = 2.0  # gates, of normalised innovations added up
-_STANDS = 5  # samples with one value, from which on it may be a frozen sensor
-
-
 class SensorFaults:
     """Watches every number of the sensors.
 
@@ -168,7 +164,6 @@ class SensorFaults:
     and unforeseen accelerations can do. It does not count until it fits again.
 
     Args:
-        sensors: The sensors.
         gate: Deviations of its innovation that noise may bring.
         agility: Accelerations that nobody foresees and that happen all the same [rad/s^2, m/s^2].
         patience: Time after which a number that did not count is a fault [s].
@@ -229,7 +224,7 @@ class SensorFaults:
         self._pushed = np.where(changed, 0.0, pushed)
         self._peak = np.where(changed, 0.0, np.fmax(self._peak, np.abs(pushed)))
         self._value = np.where(told, values, self._value)
-        moves = (self._peak > _PUSHES * self._gate) & (self._stood >= _STANDS)
+        moves = (self._peak > _FROZEN_GATES * self._gate) & (self._stood >= _FEWEST_STANDING)
         self._is_frozen = (self._is_frozen | (same & moves)) & ~changed
 
     def note(self, t: float, values: Array, innovation: Innovation) -> None:
@@ -262,26 +257,12 @@ class SensorFaults:
     def remember(self) -> Mapping[str, Any]:
         """All that later answers depend on; arrays are never written to."""
         own = self.__dict__
-        return {name: own[name] for name in _KEPT}
+        return {name: own[name] for name in _MEMORY_FIELDS}
 
     def recall(self, memory: Mapping[str, Any]) -> None:
         """Go back to what `remember` gave."""
         for name, value in memory.items():
             setattr(self, name, value)
-
-
-# ---- innovation watch -------------------------------------------------------------------------
-# Whether innovations are those of a right model: their size, and that they are white.
-#
-# For a right model the normalised innovation squared (NIS) is chi-squared, so that its mean over N
-# samples of m numbers is 1 +- z sqrt(2 / (N m)), and what is normalised does not depend on what
-# was
-# before: its correlation with that is 0 +- z / sqrt(N m). Source: Y. Bar-Shalom, X.-R. Li,
-# T. Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, sec. 5.4.
-
-
-BAND_99 = 2.5758293035489004  # of a normal distribution, both sides
-_FEWEST = 50  # numbers, below which nothing is said
 
 
 class Consistency(NamedTuple):
@@ -304,7 +285,7 @@ class Consistency(NamedTuple):
     @property
     def fault(self) -> str:
         """What is wrong, empty where nothing is."""
-        if self.numbers < _FEWEST:
+        if self.numbers < _FEWEST_NUMBERS:
             return ""
         low, high = self.nis_band
         if self.nis > high:
@@ -317,7 +298,14 @@ class Consistency(NamedTuple):
 
 
 class InnovationWatch:
-    """The newest innovations of an estimator.
+    """Whether the newest innovations are those of a right model: their size, and whiteness.
+
+    For a right model the normalised innovation squared (NIS) is chi-squared, so that its mean over
+    N samples of m numbers is 1 +- z sqrt(2 / (N m)), and what is normalised does not depend on
+    what was before: its correlation with that is 0 +- z / sqrt(N m).
+
+    Source: Y. Bar-Shalom, X.-R. Li, T. Kirubarajan, Estimation with Applications to Tracking and
+    Navigation, 2001, sec. 5.4.
 
     Args:
         samples: How many are looked at.
@@ -363,16 +351,12 @@ class InnovationWatch:
         return Consistency(nis, (1.0 - half, 1.0 + half), correlation, band, round(count))
 
 
-# ---- cusum ------------------------------------------------------------------------------------
-# Alarms on numbers that should have mean 0 and deviation 1.
-#
-#     g+ = max(0, g+ + e - k),   g- = max(0, g- - e - k),   alarm where either exceeds h
-#
-# Source: E. S. Page, Biometrika 41 (1954) 100.
-
-
 class Cusum:
-    """Two-sided cumulative sums of several numbers.
+    """Alarms on numbers that should have mean 0 and deviation 1, by two-sided cumulative sums.
+
+        g+ = max(0, g+ + e - k),   g- = max(0, g- - e - k),   alarm where either exceeds h
+
+    Source: E. S. Page, Biometrika 41 (1954) 100.
 
     Args:
         names: Of the numbers.

@@ -11,71 +11,7 @@ from mbd_ros.features.estimation.faults import InnovationWatch, SensorFaults
 from mbd_ros.methods.estimation.kalman_filter import Filtered, KalmanFilter, smoothed
 from mbd_ros.methods.estimation.process import Belief, Estimator, Measurement, Process, SensorSet
 
-# ---- lag window -------------------------------------------------------------------------------
-# Samples of a filter whose estimates wait for what is measured a while later.
-
-
-_LAG_WINDOW_SAME = 1.0e-9  # s
-
-
-class Delayed(NamedTuple):
-    """The estimate of a sample by all that was measured until its lag was over.
-
-    Attributes:
-        belief: The estimate; its innovation is that of the filter.
-        u: Inputs until then, None without.
-    """
-
-    belief: Belief
-    u: Array | None
-
-
-class LagWindow:
-    """The newest samples, for estimates with a fixed lag: see `smoother`.
-
-    Args:
-        process: What is filtered.
-        lag: How long after a sample measurements count for its estimate [s].
-    """
-
-    def __init__(self, process: Process, lag: float) -> None:
-        self._process, self._lag, self._told = process, lag, -np.inf
-        self._samples, self._inputs = list[Filtered](), list[Array | None]()
-
-    def add(self, sample: Filtered, u: Array | None) -> None:
-        """Take the newest sample; one at the time of the last one completes that."""
-        if self._samples and sample.belief.t <= self._samples[-1].belief.t + _LAG_WINDOW_SAME:
-            self._samples[-1] = self._samples[-1]._replace(belief=sample.belief)
-            self._inputs[-1] = u
-        elif sample.belief.t > self._told + _LAG_WINDOW_SAME:
-            self._samples.append(sample)
-            self._inputs.append(u)
-
-    def back_to(self, t: float) -> None:
-        """Forget samples after a time [s]: they are taken again."""
-        while self._samples and self._samples[-1].belief.t > t + _LAG_WINDOW_SAME:
-            del self._samples[-1], self._inputs[-1]
-
-    def due(self) -> list[Delayed]:
-        """Estimates of the samples whose lag is over, in the order of time, each once."""
-        if not self._samples:
-            return []
-        end = self._samples[-1].belief.t - self._lag + _LAG_WINDOW_SAME
-        count = sum(sample.belief.t <= end for sample in self._samples)
-        if not count:
-            return []
-        self._told = self._samples[count - 1].belief.t
-        pairs = zip(smoothed(self._process, self._samples), self._inputs, strict=True)
-        found = [Delayed(belief, u) for belief, u in pairs][:count]
-        del self._samples[:count], self._inputs[:count]
-        return found
-
-
-# ---- tracker ----------------------------------------------------------------------------------
-# An estimator at work: samples that come late, in disorder, not at all, or wrong.
-
-
-_SAME = 1.0e-9  # s
+_SAME_TIME = 1.0e-9  # [s] within which two samples are one
 _GAP = 5.0  # times the usual interval: more than that between samples is a gap
 _FORGETTING = 0.1  # share that the newest interval has in the usual one
 _DETERMINED = 4.0  # times its noise: what the others say of a number is less certain than that
@@ -87,16 +23,6 @@ class Taken(Enum):
     USED = "used"
     PLACED = "late: put where it belongs"
     OLD = "older than all that is remembered"
-
-
-class _Step(NamedTuple):
-    """A sample that was taken, and what was believed before it."""
-
-    t: float
-    since: float
-    values: Array
-    u: Array | None
-    before: Any
 
 
 class Tracker:
@@ -164,7 +90,7 @@ class Tracker:
             SolveError: Equations contradict one another.
             DivergedError: The prediction is no longer finite.
         """
-        if t >= self.belief.t - _SAME:
+        if t >= self.belief.t - _SAME_TIME:
             self._step(t, values, u)
             return Taken.USED
         if not self._steps or t < self._steps[0].since:
@@ -193,7 +119,7 @@ class Tracker:
         while self._steps[0].t < t - self._memory:
             del self._steps[0]
         dt = max(t - self.belief.t, 0.0)
-        if dt > _SAME:
+        if dt > _SAME_TIME:
             self._go_on(t, values, u, dt)
         seen = estimator.process.observe(self.belief.x, u)
         values = self._sensors.near(values, seen.y)
@@ -237,3 +163,66 @@ class Tracker:
         self.watch.forget()
         assert belief.innovation is not None
         self.faults.note(t, values, belief.innovation)
+
+
+class _Step(NamedTuple):
+    """A sample that was taken, and what was believed before it."""
+
+    t: float
+    since: float
+    values: Array
+    u: Array | None
+    before: Any
+
+
+class Delayed(NamedTuple):
+    """The estimate of a sample by all that was measured until its lag was over.
+
+    Attributes:
+        belief: The estimate; its innovation is that of the filter.
+        u: Inputs until then, None without.
+    """
+
+    belief: Belief
+    u: Array | None
+
+
+class LagWindow:
+    """The newest samples, whose estimates wait for what is measured a while later.
+
+    Args:
+        process: What is filtered.
+        lag: How long after a sample measurements count for its estimate [s].
+    """
+
+    def __init__(self, process: Process, lag: float) -> None:
+        self._process, self._lag, self._told = process, lag, -np.inf
+        self._samples, self._inputs = list[Filtered](), list[Array | None]()
+
+    def add(self, sample: Filtered, u: Array | None) -> None:
+        """Take the newest sample; one at the time of the last one completes that."""
+        if self._samples and sample.belief.t <= self._samples[-1].belief.t + _SAME_TIME:
+            self._samples[-1] = self._samples[-1]._replace(belief=sample.belief)
+            self._inputs[-1] = u
+        elif sample.belief.t > self._told + _SAME_TIME:
+            self._samples.append(sample)
+            self._inputs.append(u)
+
+    def back_to(self, t: float) -> None:
+        """Forget samples after a time [s]: they are taken again."""
+        while self._samples and self._samples[-1].belief.t > t + _SAME_TIME:
+            del self._samples[-1], self._inputs[-1]
+
+    def due(self) -> list[Delayed]:
+        """Estimates of the samples whose lag is over, in the order of time, each once."""
+        if not self._samples:
+            return []
+        end = self._samples[-1].belief.t - self._lag + _SAME_TIME
+        count = sum(sample.belief.t <= end for sample in self._samples)
+        if not count:
+            return []
+        self._told = self._samples[count - 1].belief.t
+        pairs = zip(smoothed(self._process, self._samples), self._inputs, strict=True)
+        found = [Delayed(belief, u) for belief, u in pairs][:count]
+        del self._samples[:count], self._inputs[:count]
+        return found

@@ -1,4 +1,7 @@
-"""Numbers, inertias and efforts that nobody knows, as states of an estimator."""
+"""Numbers, inertias and efforts that nobody knows, as states of an estimator.
+
+Numbers of loads, offsets of sensors, masses and payloads have the rate 0, and noise.
+"""
 
 import inspect
 import math
@@ -22,11 +25,9 @@ from mbd_ros.scene.reading.part_entries import part_of
 from mbd_ros.scene.schema.nearest import nearest
 from mbd_ros.scene.variants import places_of
 
-# ---- unknown numbers --------------------------------------------------------------------------
-# Numbers of a scene that nobody knows exactly, as states of an estimator of rate 0.
-
-
-_KEPT = 16  # loads of other numbers
+_CACHED_LOADS = 16  # of other numbers
+MASS, PAYLOAD, OFFSET = "mass", "payload", "offset"
+_LEAST_MASS = 1.0e-3  # of the mass of a link, below which it is not estimated to be
 
 
 class UnknownNumber(Load):
@@ -55,106 +56,6 @@ class UnknownNumber(Load):
         return self._still
 
 
-class UncertainLoad(Load):
-    """A load with numbers that are estimated; internal states of its own come first.
-
-    Args:
-        load: As the scene has it.
-        make: Makes the same load with other values of these numbers.
-        internal: The numbers, by their arguments.
-    """
-
-    def __init__(
-        self, load: Load, make: Callable[[Sequence[float]], Load], internal: Sequence[Internal]
-    ) -> None:
-        self.name, self.reads, self.inputs = load.name, load.reads, load.inputs
-        self._own, self._make = len(load.internal), make
-        self.internal = (*load.internal, *internal)
-        self._kept = dict[bytes, Load]()
-
-    def bind(self, slots: Slots) -> None:
-        """As `Part.bind`; the load has the first internal states."""
-        super().bind(slots)
-        self._kept = {}
-
-    def _made(self, x: State) -> Load:
-        numbers = x.z[self.z][self._own :]
-        key = numbers.tobytes()
-        load = self._kept.get(key)
-        if load is None:
-            load = self._make(numbers.tolist())
-            load.bind(Slots(self.u, slice(self.z.start, self.z.start + self._own)))
-            if len(self._kept) >= _KEPT:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = load
-        return load
-
-    def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Generalized force [N·m or N], shape (nv,)."""
-        return self._made(x).force(k, x, u)
-
-    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
-        """As those of the load."""
-        return self._made(x).wrenches(k, x, u)
-
-    def potential(self, k: Kinematics, x: State) -> float:
-        """Energy that it stores [J]."""
-        return self._made(x).potential(k, x)
-
-    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Those of the load, then nothing, shape (len(internal),)."""
-        found = np.zeros(len(self.internal))
-        if self._own:
-            found[: self._own] = self._made(x).rates(k, x, u)
-        return found
-
-
-class OffsetSensor(Sensor):
-    """A sensor whose offset is estimated.
-
-    Args:
-        sensor: As the scene has it.
-        offset: The offset, one number a component, beyond that of the sensor itself.
-    """
-
-    def __init__(self, sensor: Sensor, offset: UnknownNumber) -> None:
-        self.name, self.inner, self._offset = sensor.name, sensor, offset
-        self.level, self.reads, self.unit = sensor.level, sensor.reads, sensor.unit
-        self.components, self.label, self.delay = sensor.components, sensor.label, sensor.delay
-        self.is_linear, self.noise_varies = sensor.is_linear, sensor.noise_varies
-
-    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
-        """As the sensor, by the estimated offset more."""
-        measured: Array = self.inner.measure(k, x, now) + x.z[self._offset.z]
-        return measured
-
-    def jacobian(self, k: Kinematics, x: State) -> Array:
-        """As that of the sensor."""
-        return self.inner.jacobian(k, x)
-
-    def by_position(self, k: Kinematics, x: State) -> Array | None:
-        """As that of the sensor."""
-        return self.inner.by_position(k, x)
-
-    def by_internal(self, nz: int) -> Array | None:
-        """Ones by the offset; differences see it where there is an acceleration."""
-        if self.level >= Measures.ACCELERATION:
-            return None
-        return np.eye(nz)[np.arange(nz)[self._offset.z]]
-
-    def covariance(self, k: Kinematics, x: State) -> Array:
-        """As that of the sensor."""
-        return self.inner.covariance(k, x)
-
-
-# ---- unknown inertias -------------------------------------------------------------------------
-# Masses of links and payloads as states of an estimator.
-#
-# Inertias of bodies are linear in them: pi = pi_0 + sum (z_i - z_i0) d_i, with the ten numbers of
-# a
-# body. Source: C. G. Atkeson, C. H. An, J. M. Hollerbach, Int. J. Robotics Research 5(3) (1986).
-
-
 class UnknownMass(NamedTuple):
     """A mass whose number is an internal state.
 
@@ -169,59 +70,6 @@ class UnknownMass(NamedTuple):
     joint: int
     first: float
     unit: Array
-
-
-class UnknownInertias:
-    """Writes masses into a model.
-
-    Args:
-        model: Pinocchio model that nobody else uses.
-        masses: The masses.
-    """
-
-    def __init__(self, model: Any, masses: Sequence[UnknownMass]) -> None:
-        self._model, self._data, self.masses = model, pin.Data(model), tuple(masses)
-        joints = {mass.joint for mass in masses}
-        self._known = {j: np.array(model.inertias[j].toDynamicParameters()) for j in joints}
-        self._written = b""
-
-    def write(self, z: Array) -> None:
-        """Give the model the inertias of internal states."""
-        if not self.masses or self._written == z.tobytes():
-            return
-        self._written = z.tobytes()
-        self._set([float(z[mass.part.z][0]) for mass in self.masses])
-
-    def efforts(self, x: State, a: Array) -> Array:
-        """What 1 kg more of each asks of the joints [N·m/kg or N/kg], shape (nv, count).
-
-        Args:
-            x: State of all joints, whose internal states are written.
-            a: Accelerations of all joints, shape (nv,).
-        """
-        values = [float(x.z[mass.part.z][0]) for mass in self.masses]
-        here = np.array(pin.rnea(self._model, self._data, x.q, x.v, a))
-        found = np.empty((len(here), len(values)))
-        for i in range(len(values)):
-            self._set([value + (i == j) for j, value in enumerate(values)])
-            found[:, i] = pin.rnea(self._model, self._data, x.q, x.v, a) - here
-        self._set(values)
-        return found
-
-    def _set(self, values: Sequence[float]) -> None:
-        total = {joint: known.copy() for joint, known in self._known.items()}
-        for mass, value in zip(self.masses, values, strict=True):
-            total[mass.joint] += (value - mass.first) * mass.unit
-        for joint, numbers in total.items():
-            self._model.inertias[joint] = pin.Inertia.FromDynamicParameters(numbers)
-
-
-# ---- unknowns ---------------------------------------------------------------------------------
-# Numbers of a scene that are estimated: names and deviations to states of an estimator.
-
-
-MASS, PAYLOAD, OFFSET = "mass", "payload", "offset"
-_LEAST = 1.0e-3  # of the mass of a link, below which it is not estimated to be
 
 
 @dataclass
@@ -285,54 +133,6 @@ def with_unknowns(
     return found
 
 
-def inner(sensor: Sensor) -> Sensor:
-    """The sensor of the scene behind one whose offset is estimated; itself else."""
-    return sensor.inner if isinstance(sensor, OffsetSensor) else sensor
-
-
-def _add_offset(found: Unknowns, owner: str, deviation: float) -> None:
-    at = next(i for i, sensor in enumerate(found.sensors) if sensor.name == owner)
-    sensor = found.sensors[at]
-    units = sensor.unit or ""
-    names = [f"{OFFSET}_{one}".rstrip("_") for one in sensor.components]
-    part = UnknownNumber(
-        owner,
-        [Internal(name, units, initial=0.0, is_constant=True) for name in names],
-        int(found.scene.robot.model.nv),
-    )
-    found.hold(part, deviation)
-    found.sensors[at] = OffsetSensor(sensor, part)
-
-
-def _add_mass(found: Unknowns, owner: str, argument: str, deviation: float) -> None:
-    scene = found.scene
-    links = scene.robot.inertias()
-    known = list(links) if argument == MASS else [f.name for f in scene.robot.model.frames]
-    if owner not in known:
-        raise ModelError(_unknown(f"{owner}.{argument}", owner, known))
-    if not found.masses:
-        own = replace(scene.robot, model=scene.robot.model.copy())
-        found.scene = scene = replace(scene, robot=own)
-    frame = scene.robot.model.frames[scene.robot.frame(owner)]
-    if not int(frame.parentJoint):
-        raise ModelError(f"{owner}.{argument}: nothing moves '{owner}'")
-    first, lower, inertia = 0.0, 0.0, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
-    if argument == MASS:
-        first = float(links[owner].mass)
-        if first <= 0.0:
-            raise ModelError(f"{owner}.{MASS} is 0; accepted: {owner}.{PAYLOAD}, at its origin")
-        lower, link = _LEAST * first, links[owner]
-        inertia = pin.Inertia(1.0, link.lever, link.inertia / first)
-    unit = np.array(frame.placement.act(inertia).toDynamicParameters())
-    part = UnknownNumber(
-        owner,
-        [Internal(argument, "kg", lower, math.inf, first, is_constant=True)],
-        int(scene.robot.model.nv),
-    )
-    found.hold(part, deviation)
-    found.masses.append(UnknownMass(part, int(frame.parentJoint), first, unit))
-
-
 def _add_load(
     found: Unknowns, owner: str, asked: Mapping[str, float], sensors: Sequence[Sensor]
 ) -> None:
@@ -352,6 +152,11 @@ def _add_load(
     forces = [part if one.name == owner else one for one in found.scene.parts["forces"]]
     found.scene = found.scene.holding(forces=tuple(forces))
     found.deviations |= {f"{owner}.{name}": value for name, value in asked.items()}
+
+
+def _unknown(key: str, word: str, names: Sequence[str]) -> str:
+    close = nearest(word, names) or sorted(names)
+    return f"parameters: '{key}' cannot be estimated; there are {', '.join(close[:20]) or 'none'}"
 
 
 def _maker(
@@ -385,13 +190,188 @@ def _maker(
     return make, first, bounds
 
 
-def _unknown(key: str, word: str, names: Sequence[str]) -> str:
-    close = nearest(word, names) or sorted(names)
-    return f"parameters: '{key}' cannot be estimated; there are {', '.join(close[:20]) or 'none'}"
+def _add_offset(found: Unknowns, owner: str, deviation: float) -> None:
+    at = next(i for i, sensor in enumerate(found.sensors) if sensor.name == owner)
+    sensor = found.sensors[at]
+    units = sensor.unit or ""
+    names = [f"{OFFSET}_{one}".rstrip("_") for one in sensor.components]
+    part = UnknownNumber(
+        owner,
+        [Internal(name, units, initial=0.0, is_constant=True) for name in names],
+        int(found.scene.robot.model.nv),
+    )
+    found.hold(part, deviation)
+    found.sensors[at] = OffsetSensor(sensor, part)
 
 
-# ---- effort disturbance -----------------------------------------------------------------------
-# Efforts that nobody measures, as states of an estimator.
+def _add_mass(found: Unknowns, owner: str, argument: str, deviation: float) -> None:
+    scene = found.scene
+    links = scene.robot.inertias()
+    known = list(links) if argument == MASS else [f.name for f in scene.robot.model.frames]
+    if owner not in known:
+        raise ModelError(_unknown(f"{owner}.{argument}", owner, known))
+    if not found.masses:
+        own = replace(scene.robot, model=scene.robot.model.copy())
+        found.scene = scene = replace(scene, robot=own)
+    frame = scene.robot.model.frames[scene.robot.frame(owner)]
+    if not int(frame.parentJoint):
+        raise ModelError(f"{owner}.{argument}: nothing moves '{owner}'")
+    first, lower, inertia = 0.0, 0.0, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+    if argument == MASS:
+        first = float(links[owner].mass)
+        if first <= 0.0:
+            raise ModelError(f"{owner}.{MASS} is 0; accepted: {owner}.{PAYLOAD}, at its origin")
+        lower, link = _LEAST_MASS * first, links[owner]
+        inertia = pin.Inertia(1.0, link.lever, link.inertia / first)
+    unit = np.array(frame.placement.act(inertia).toDynamicParameters())
+    part = UnknownNumber(
+        owner,
+        [Internal(argument, "kg", lower, math.inf, first, is_constant=True)],
+        int(scene.robot.model.nv),
+    )
+    found.hold(part, deviation)
+    found.masses.append(UnknownMass(part, int(frame.parentJoint), first, unit))
+
+
+class UncertainLoad(Load):
+    """A load with numbers that are estimated; internal states of its own come first.
+
+    Args:
+        load: As the scene has it.
+        make: Makes the same load with other values of these numbers.
+        internal: The numbers, by their arguments.
+    """
+
+    def __init__(
+        self, load: Load, make: Callable[[Sequence[float]], Load], internal: Sequence[Internal]
+    ) -> None:
+        self.name, self.reads, self.inputs = load.name, load.reads, load.inputs
+        self._own, self._make = len(load.internal), make
+        self.internal = (*load.internal, *internal)
+        self._kept = dict[bytes, Load]()
+
+    def bind(self, slots: Slots) -> None:
+        """As `Part.bind`; the load has the first internal states."""
+        super().bind(slots)
+        self._kept = {}
+
+    def _made(self, x: State) -> Load:
+        numbers = x.z[self.z][self._own :]
+        key = numbers.tobytes()
+        load = self._kept.get(key)
+        if load is None:
+            load = self._make(numbers.tolist())
+            load.bind(Slots(self.u, slice(self.z.start, self.z.start + self._own)))
+            if len(self._kept) >= _CACHED_LOADS:
+                self._kept.pop(next(iter(self._kept)))
+            self._kept[key] = load
+        return load
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Generalized force [N·m or N], shape (nv,)."""
+        return self._made(x).force(k, x, u)
+
+    def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
+        """As those of the load."""
+        return self._made(x).wrenches(k, x, u)
+
+    def potential(self, k: Kinematics, x: State) -> float:
+        """Energy that it stores [J]."""
+        return self._made(x).potential(k, x)
+
+    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Those of the load, then nothing, shape (len(internal),)."""
+        found = np.zeros(len(self.internal))
+        if self._own:
+            found[: self._own] = self._made(x).rates(k, x, u)
+        return found
+
+
+class OffsetSensor(Sensor):
+    """A sensor whose offset is estimated.
+
+    Args:
+        sensor: As the scene has it.
+        offset: The offset, one number a component, beyond that of the sensor itself.
+    """
+
+    def __init__(self, sensor: Sensor, offset: UnknownNumber) -> None:
+        self.name, self.inner, self._offset = sensor.name, sensor, offset
+        self.level, self.reads, self.unit = sensor.level, sensor.reads, sensor.unit
+        self.components, self.label, self.delay = sensor.components, sensor.label, sensor.delay
+        self.is_linear, self.noise_varies = sensor.is_linear, sensor.noise_varies
+
+    def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
+        """As the sensor, by the estimated offset more."""
+        measured: Array = self.inner.measure(k, x, now) + x.z[self._offset.z]
+        return measured
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """The Jacobian of the sensor, shape (m, n)."""
+        return self.inner.jacobian(k, x)
+
+    def by_position(self, k: Kinematics, x: State) -> Array | None:
+        """As that of the sensor."""
+        return self.inner.by_position(k, x)
+
+    def by_internal(self, nz: int) -> Array | None:
+        """Ones by the offset; differences see it where there is an acceleration."""
+        if self.level >= Measures.ACCELERATION:
+            return None
+        return np.eye(nz)[np.arange(nz)[self._offset.z]]
+
+    def covariance(self, k: Kinematics, x: State) -> Array:
+        """As that of the sensor."""
+        return self.inner.covariance(k, x)
+
+
+class UnknownInertias:
+    """Writes masses into a model.
+
+    Inertias of bodies are linear in them: pi = pi_0 + sum (z_i - z_i0) d_i, with the ten numbers
+    of a body.
+
+    Source: C. G. Atkeson, C. H. An, J. M. Hollerbach, Int. J. Robotics Research 5(3) (1986).
+
+    Args:
+        model: Pinocchio model that nobody else uses.
+    """
+
+    def __init__(self, model: Any, masses: Sequence[UnknownMass]) -> None:
+        self._model, self._data, self.masses = model, pin.Data(model), tuple(masses)
+        joints = {mass.joint for mass in masses}
+        self._known = {j: np.array(model.inertias[j].toDynamicParameters()) for j in joints}
+        self._written = b""
+
+    def write(self, z: Array) -> None:
+        """Give the model the inertias of internal states."""
+        if not self.masses or self._written == z.tobytes():
+            return
+        self._written = z.tobytes()
+        self._set([float(z[mass.part.z][0]) for mass in self.masses])
+
+    def efforts(self, x: State, a: Array) -> Array:
+        """What 1 kg more of each asks of the joints [N·m/kg or N/kg], shape (nv, count).
+
+        Args:
+            x: State of all joints, whose internal states are written.
+            a: Accelerations of all joints, shape (nv,).
+        """
+        values = [float(x.z[mass.part.z][0]) for mass in self.masses]
+        here = np.array(pin.rnea(self._model, self._data, x.q, x.v, a))
+        found = np.empty((len(here), len(values)))
+        for i in range(len(values)):
+            self._set([value + (i == j) for j, value in enumerate(values)])
+            found[:, i] = pin.rnea(self._model, self._data, x.q, x.v, a) - here
+        self._set(values)
+        return found
+
+    def _set(self, values: Sequence[float]) -> None:
+        total = {joint: known.copy() for joint, known in self._known.items()}
+        for mass, value in zip(self.masses, values, strict=True):
+            total[mass.joint] += (value - mass.first) * mass.unit
+        for joint, numbers in total.items():
+            self._model.inertias[joint] = pin.Inertia.FromDynamicParameters(numbers)
 
 
 class EffortDisturbance(Load):
@@ -449,3 +429,8 @@ class EffortDisturbance(Load):
         found = np.zeros(len(self.internal))
         found[: self._count] = x.z[self.z][self._count :]
         return found
+
+
+def inner(sensor: Sensor) -> Sensor:
+    """The sensor of the scene behind one whose offset is estimated; itself else."""
+    return sensor.inner if isinstance(sensor, OffsetSensor) else sensor
