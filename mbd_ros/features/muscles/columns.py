@@ -23,29 +23,6 @@ _AXES = [(kind, axis) for kind in ("force", "moment") for axis in "xyz"]
 _UNITS = {"force": "N", "moment": "N·m"}
 
 
-def together(chunks: Sequence[Shares], field: str) -> Array:
-    """A field of all frames."""
-    return np.concatenate([getattr(shares, field) for shares in chunks])
-
-
-def joined(chunks: Sequence[Shares]) -> Shares:
-    """Shares of all frames."""
-    frames = [shares.frames for shares in chunks]
-    whole = Frames(*(np.concatenate(each) for each in zip(*frames, strict=True)))
-    names = [field.name for field in fields(Shares) if field.name not in ("frames", "movable")]
-    movable = tuple(one for shares in chunks for one in shares.movable)
-    arrays = {name: together(chunks, name) for name in names}
-    return Shares(frames=whole, movable=movable, **arrays)
-
-
-def trial_columns(solver: StaticOptimization, shared: Shared) -> list[Column]:
-    """Excitations, and lengths of fibres beside elastic tendons."""
-    pairs = zip(solver.muscles, shared.excitation.T, strict=True)
-    columns = [Column(f"{part.name}.excitation", values) for part, values in pairs]
-    lengths = shared.fiber_length.items()
-    return [*columns, *(Column(f"{name}.fiber_length", v, "m") for name, v in lengths)]
-
-
 def share_columns(
     solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
 ) -> list[Column]:
@@ -82,6 +59,34 @@ def share_columns(
     return [*columns, *(Column(f"{OPTIMUM}.{name}", v) for name, v in of_frames.items())]
 
 
+def _motion(
+    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
+) -> list[Column]:
+    robot, couplings = solver.robot, solver.known.couplings
+    at = IndependentCoordinates(robot, couplings)
+    free = [robot.joint(name) for name in couplings.independent]
+    z, v, a = samples[1:4]
+    columns = joint_columns(free, "position", z[:, at.joint_y])
+    columns += joint_columns(free, "velocity", v[:, at.joint_w])
+    columns += joint_columns(free, "effort", together(chunks, "needed")[:, at.joint_w])
+    columns += joint_columns(free, "lacking", together(chunks, "lacking")[:, at.joint_w])
+    bodies = [(z[:, y], v[:, w], a[:, w]) for y, w in zip(at.body_y, at.body_w, strict=True)]
+    return [*columns, *body_columns(robot, bodies)]
+
+
+def together(chunks: Sequence[Shares], field: str) -> Array:
+    """A field of all frames."""
+    return np.concatenate([getattr(shares, field) for shares in chunks])
+
+
+def trial_columns(solver: StaticOptimization, shared: Shared) -> list[Column]:
+    """Excitations, and lengths of fibres beside elastic tendons."""
+    pairs = zip(solver.muscles, shared.excitation.T, strict=True)
+    columns = [Column(f"{part.name}.excitation", values) for part, values in pairs]
+    lengths = shared.fiber_length.items()
+    return [*columns, *(Column(f"{name}.fiber_length", v, "m") for name, v in lengths)]
+
+
 def load_columns(
     loads: JointLoads,
     asked: MusclesTask,
@@ -112,21 +117,6 @@ def _load(name: str, values: Array, frame: str) -> list[Column]:
     return [Column(f"{name}.{kind}_{a}", v, _UNITS[kind], frame) for (kind, a), v in pairs]
 
 
-def _motion(
-    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
-) -> list[Column]:
-    robot, couplings = solver.robot, solver.known.couplings
-    at = IndependentCoordinates(robot, couplings)
-    free = [robot.joint(name) for name in couplings.independent]
-    z, v, a = samples[1:4]
-    columns = joint_columns(free, "position", z[:, at.joint_y])
-    columns += joint_columns(free, "velocity", v[:, at.joint_w])
-    columns += joint_columns(free, "effort", together(chunks, "needed")[:, at.joint_w])
-    columns += joint_columns(free, "lacking", together(chunks, "lacking")[:, at.joint_w])
-    bodies = [(z[:, y], v[:, w], a[:, w]) for y, w in zip(at.body_y, at.body_w, strict=True)]
-    return [*columns, *body_columns(robot, bodies)]
-
-
 def topics(solver: StaticOptimization) -> dict[str, Any]:
     """Topics of a bag, see `files.bags.bag_writer`: the same as those of the node."""
     names = [muscle.name for muscle in solver.muscles]
@@ -141,3 +131,13 @@ def topics(solver: StaticOptimization) -> dict[str, Any]:
         reserves = {part.name: f"{part.name}.force" for part in solver.reserves}
         found["/reserve_forces"] = {"effort": reserves}
     return found
+
+
+def joined(chunks: Sequence[Shares]) -> Shares:
+    """Shares of all frames."""
+    frames = [shares.frames for shares in chunks]
+    whole = Frames(*(np.concatenate(each) for each in zip(*frames, strict=True)))
+    names = [field.name for field in fields(Shares) if field.name not in ("frames", "movable")]
+    movable = tuple(one for shares in chunks for one in shares.movable)
+    arrays = {name: together(chunks, name) for name in names}
+    return Shares(frames=whole, movable=movable, **arrays)

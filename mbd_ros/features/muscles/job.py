@@ -42,150 +42,10 @@ from mbd_ros.motion.samples import Task, loads_of_laboratory, observe_motion
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.scene_summary import coordinate_names
 
-# Lines for people on how muscles shared the forces of a motion.
-
 _SHOWN = 5  # frames, coordinates or parts that a line names
-_LACKS = 1.0e-6  # of the largest need: what counts as lacking
-
-
-def summary(
-    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
-) -> Iterator[str]:
-    """The lines.
-
-    Args:
-        solver: What shared.
-        samples: The motion.
-        chunks: Its shares, some frames each.
-    """
-    criterion, reserves = solver.wishes.criterion, solver.reserves
-    passive = "takes part" if solver.wishes.passive else "is left out"
-    yield (
-        f"objective: {criterion.kind}, exponent {criterion.exponent:g}, {len(solver.muscles)} "
-        f"muscles and {len(reserves)} reserves; passive force of the fibres {passive}"
-    )
-    null, movable = together(chunks, "null_space"), [m for s in chunks for m in s.movable]
-    free = f"{null.min()}" if null.min() == null.max() else f"{null.min()} to {null.max()}"
-    yield (
-        f"optimum: largest residual {together(chunks, 'residual').max():.1e}; {free} of "
-        f"{len(solver.names)} unknowns are free to share"
-    )
-    several = [i for i, each in enumerate(movable) if each]
-    if several:
-        names = sorted({solver.names[i] for each in movable for i in each})
-        yield f"not unique in {len(several)} of {len(movable)} frames: {_listed(names)}"
-    yield from _reserve_lines(solver, chunks)
-    yield from _lacking_lines(solver, samples, chunks)
-
-
-def _reserve_lines(solver: StaticOptimization, chunks: Sequence[Shares]) -> Iterator[str]:
-    """What each reserve exerts, and its share of what its coordinate needs."""
-    forces, needed = together(chunks, "reserve"), together(chunks, "needed")
-    at = {int(v): i for i, v in enumerate(solver.known.couplings.v_index)}
-    for reserve, force in zip(solver.reserves, forces.T, strict=True):
-        line = f"reserve {reserve.name}: at most {np.abs(force).max():.4g} {reserve.unit}"
-        if isinstance(reserve, CoordinateReserve):
-            whole = _rms(needed[:, at[reserve.at]])
-            share = 100.0 * _rms(force) / whole if whole > 0.0 else 0.0
-            line += f", {share:.3g} % of what its coordinate needs (rms)"
-        yield line
-
-
-def _lacking_lines(
-    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
-) -> Iterator[str]:
-    """Frames whose forces muscles and reserves cannot produce, and what lacks most."""
-    lacks = np.flatnonzero(~together(chunks, "is_feasible"))
-    if not len(lacks):
-        return
-    needed, lacking = together(chunks, "needed"), together(chunks, "lacking")
-    names = coordinate_names(solver.robot, solver.known.couplings)
-    times = [f"{samples.stamps[i] * NANOSECOND:.6g}" for i in lacks]
-    yield (
-        f"warning: {len(lacks)} of {len(needed)} frames need more than muscles and reserves can "
-        f"give, at {_listed(times)} s"
-    )
-    most = np.abs(lacking).max(axis=0)
-    order = np.argsort(-most)
-    scale = _LACKS * np.abs(needed).max(initial=0.0)
-    texts = []
-    for i in (i for i in order if most[i] > scale):
-        row = int(np.abs(lacking[:, i]).argmax())
-        time = samples.stamps[row] * NANOSECOND
-        texts.append(f"{names[i]} lacks {lacking[row, i]:.4g} at {time:.6g} s")
-    yield f"warning: at most: {_listed(texts)}"
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
-def _listed(texts: Sequence[str]) -> str:
-    more = f", .. ({len(texts)})" if len(texts) > _SHOWN else ""
-    return ", ".join(texts[:_SHOWN]) + more
-
-
-# Activations that were measured, at the frames of a motion.
-
-_QUANTITY = "activation"
-
-
-def measured_activations(
-    path: Path | None, muscles: Sequence[Muscle], stamps: NDArray[np.int64]
-) -> Array | None:
-    """Columns `<muscle>.activation`, linear between their rows, NaN for a muscle without one.
-
-    Args:
-        path: A table; None where nothing was measured.
-        muscles: The muscles.
-        stamps: Of the frames [ns], shape (frames,).
-
-    Raises:
-        DataError: A file that cannot be read, has none of the muscles, values outside 0 .. 1, or
-            does not cover the motion.
-    """
-    if path is None:
-        return None
-    table = read_result(path)[MAIN]
-    known = [i for i, muscle in enumerate(muscles) if f"{muscle.name}.{_QUANTITY}" in table]
-    if not known:
-        names = ", ".join(f"{muscle.name}.{_QUANTITY}" for muscle in muscles)
-        raise DataError(f"{path}: no column of a muscle, accepted: {names}")
-    at = motion_stamps(table, str(path))
-    if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
-        covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]]) if len(at) else "no"
-        asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
-        raise DataError(f"{path}: activations at {covered} s do not cover the motion at {asked} s")
-    found = np.full((len(stamps), len(muscles)), np.nan)
-    for i in known:
-        values = table[f"{muscles[i].name}.{_QUANTITY}"]
-        outside = np.flatnonzero(~((values >= 0.0) & (values <= 1.0)))
-        if len(outside):
-            row = int(outside[0])
-            raise DataError(
-                f"{path}: {muscles[i].name}.{_QUANTITY} at {at[row] * NANOSECOND:.6g} s is "
-                f"{values[row]:.6g}, accepted: 0 .. 1"
-            )
-        found[:, i] = np.interp((stamps - at[0]) * NANOSECOND, (at - at[0]) * NANOSECOND, values)
-    return found
-
-
+_LACKING = 1.0e-6  # of the largest need: what counts as lacking
 _CHUNK = 256  # frames between two signs of progress
 _NO_OPTIONS: Mapping[str, Any] = {}
-
-
-class Sharing(NamedTuple):
-    """Order of the job.
-
-    Attributes:
-        motion: As inverse dynamics takes it.
-        asked: What is asked of the muscles.
-        options: The same as it was given, for the metadata.
-    """
-
-    motion: Task
-    asked: MusclesTask
-    options: Mapping[str, Any] = _NO_OPTIONS
 
 
 def muscles(
@@ -248,6 +108,20 @@ def muscles(
     return result
 
 
+class Sharing(NamedTuple):
+    """Order of the job.
+
+    Attributes:
+        motion: As inverse dynamics takes it.
+        asked: What is asked of the muscles.
+        options: The same as it was given, for the metadata.
+    """
+
+    motion: Task
+    asked: MusclesTask
+    options: Mapping[str, Any] = _NO_OPTIONS
+
+
 def muscles_to(scene: Scene, order: Sharing, out: Path, say: Say) -> None:
     """Read a motion, write what muscles do in it.
 
@@ -271,7 +145,7 @@ def muscles_to(scene: Scene, order: Sharing, out: Path, say: Say) -> None:
 
 
 def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
-    """See `muscles`."""
+    """Do the task of `muscles`."""
     task, external = order.motion, loads_of_laboratory(scene, order.motion)
     if external is not None:
         scene = external.scene
@@ -304,20 +178,7 @@ def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
     table = Table([*time_columns(samples.stamps), *columns])
     _check_finite(name_of(task.motion), table)
     done = order._replace(motion=task._replace(derivatives=observed.derivatives))
-    return Result({MAIN: table}, _about(scene, done, solver))
-
-
-def _over_time(
-    solver: StaticOptimization, asked: MusclesTask, observed: Any, static: Shares
-) -> Shared:
-    """With dynamics of muscles."""
-    assert asked.dynamics is not None
-
-    def measured(stamps: NDArray[np.int64]) -> Array | None:
-        return measured_activations(asked.emg, solver.muscles, stamps)
-
-    given = observed.samples, observed.wrenches, static, measured
-    return shared_trial(solver, asked.dynamics, *given)
+    return Result({MAIN: table}, _metadata(scene, done, solver))
 
 
 def _shares(
@@ -333,6 +194,19 @@ def _shares(
         motion = (values[some] for values in samples[1:4])
         loads = [wrench[some] for wrench in wrenches]
         yield solver.solve(begin + times[some], *motion, loads, None if emg is None else emg[some])
+
+
+def _over_time(
+    solver: StaticOptimization, asked: MusclesTask, observed: Any, static: Shares
+) -> Shared:
+    """The shares with dynamics of muscles."""
+    assert asked.dynamics is not None
+
+    def measured(stamps: NDArray[np.int64]) -> Array | None:
+        return measured_activations(asked.emg, solver.muscles, stamps)
+
+    samples, wrenches = observed.samples, observed.wrenches
+    return shared_trial(solver, asked.dynamics, samples, wrenches, static, measured)
 
 
 def _loads(
@@ -353,7 +227,7 @@ def _check_finite(where: str, table: Table) -> None:
             raise DataError(f"{where}: {name} at {table['time'][row]:.9g} s is not finite")
 
 
-def _about(scene: Scene, order: Sharing, solver: StaticOptimization) -> dict[str, Any]:
+def _metadata(scene: Scene, order: Sharing, solver: StaticOptimization) -> dict[str, Any]:
     task = order.motion
     source, cutoff, half_width = task.derivatives
     inputs: dict[str, Any] = {
@@ -369,3 +243,114 @@ def _about(scene: Scene, order: Sharing, solver: StaticOptimization) -> dict[str
     }
     about = metadata_of("muscles", scene, inputs, topics(solver))
     return {**about, "stamps": "recorded"}
+
+
+def measured_activations(
+    path: Path | None, muscles: Sequence[Muscle], stamps: NDArray[np.int64]
+) -> Array | None:
+    """Columns `<muscle>.activation`, linear between their rows, NaN for a muscle without one.
+
+    Args:
+        path: A table; None where nothing was measured.
+        muscles: The muscles.
+        stamps: Of the frames [ns], shape (frames,).
+
+    Raises:
+        DataError: A file that cannot be read, has none of the muscles, values outside 0 .. 1, or
+            does not cover the motion.
+    """
+    if path is None:
+        return None
+    table = read_result(path)[MAIN]
+    known = [i for i, muscle in enumerate(muscles) if f"{muscle.name}.activation" in table]
+    if not known:
+        names = ", ".join(f"{muscle.name}.activation" for muscle in muscles)
+        raise DataError(f"{path}: no column of a muscle, accepted: {names}")
+    at = motion_stamps(table, str(path))
+    if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
+        covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]]) if len(at) else "no"
+        asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
+        raise DataError(f"{path}: activations at {covered} s do not cover the motion at {asked} s")
+    found = np.full((len(stamps), len(muscles)), np.nan)
+    for i in known:
+        values = table[f"{muscles[i].name}.activation"]
+        outside = np.flatnonzero(~((values >= 0.0) & (values <= 1.0)))
+        if len(outside):
+            row = int(outside[0])
+            raise DataError(
+                f"{path}: {muscles[i].name}.activation at {at[row] * NANOSECOND:.6g} s is "
+                f"{values[row]:.6g}, accepted: 0 .. 1"
+            )
+        found[:, i] = np.interp((stamps - at[0]) * NANOSECOND, (at - at[0]) * NANOSECOND, values)
+    return found
+
+
+def summary(
+    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
+) -> Iterator[str]:
+    """Lines for people on how muscles shared the forces of a motion, some frames each."""
+    criterion, reserves = solver.wishes.criterion, solver.reserves
+    passive = "takes part" if solver.wishes.passive else "is left out"
+    yield (
+        f"objective: {criterion.kind}, exponent {criterion.exponent:g}, {len(solver.muscles)} "
+        f"muscles and {len(reserves)} reserves; passive force of the fibres {passive}"
+    )
+    null, movable = together(chunks, "null_space"), [m for s in chunks for m in s.movable]
+    free = f"{null.min()}" if null.min() == null.max() else f"{null.min()} to {null.max()}"
+    yield (
+        f"optimum: largest residual {together(chunks, 'residual').max():.1e}; {free} of "
+        f"{len(solver.names)} unknowns are free to share"
+    )
+    several = [i for i, each in enumerate(movable) if each]
+    if several:
+        names = sorted({solver.names[i] for each in movable for i in each})
+        yield f"not unique in {len(several)} of {len(movable)} frames: {_listed(names)}"
+    yield from _reserve_lines(solver, chunks)
+    yield from _lacking_lines(solver, samples, chunks)
+
+
+def _listed(texts: Sequence[str]) -> str:
+    more = f", .. ({len(texts)})" if len(texts) > _SHOWN else ""
+    return ", ".join(texts[:_SHOWN]) + more
+
+
+def _reserve_lines(solver: StaticOptimization, chunks: Sequence[Shares]) -> Iterator[str]:
+    """What each reserve exerts, and its share of what its coordinate needs."""
+    forces, needed = together(chunks, "reserve"), together(chunks, "needed")
+    at = {int(v): i for i, v in enumerate(solver.known.couplings.v_index)}
+    for reserve, force in zip(solver.reserves, forces.T, strict=True):
+        line = f"reserve {reserve.name}: at most {np.abs(force).max():.4g} {reserve.unit}"
+        if isinstance(reserve, CoordinateReserve):
+            whole = _rms(needed[:, at[reserve.at]])
+            share = 100.0 * _rms(force) / whole if whole > 0.0 else 0.0
+            line += f", {share:.3g} % of what its coordinate needs (rms)"
+        yield line
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _lacking_lines(
+    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
+) -> Iterator[str]:
+    """Frames whose forces muscles and reserves cannot produce, and what lacks most."""
+    lacks = np.flatnonzero(~together(chunks, "is_feasible"))
+    if not len(lacks):
+        return
+    needed, lacking = together(chunks, "needed"), together(chunks, "lacking")
+    names = coordinate_names(solver.robot, solver.known.couplings)
+    times = [f"{samples.stamps[i] * NANOSECOND:.6g}" for i in lacks]
+    yield (
+        f"warning: {len(lacks)} of {len(needed)} frames need more than muscles and reserves can "
+        f"give, at {_listed(times)} s"
+    )
+    most = np.abs(lacking).max(axis=0)
+    order = np.argsort(-most)
+    scale = _LACKING * np.abs(needed).max(initial=0.0)
+    texts = []
+    for i in (i for i in order if most[i] > scale):
+        row = int(np.abs(lacking[:, i]).argmax())
+        time = samples.stamps[row] * NANOSECOND
+        texts.append(f"{names[i]} lacks {lacking[row, i]:.4g} at {time:.6g} s")
+    yield f"warning: at most: {_listed(texts)}"

@@ -14,8 +14,7 @@ from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.kinematics.paths.paths import PathBatch
 from mbd_ros.core.model.couplings import Couplings, Slopes
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.muscles.degroote_fregly_curves import DeGrooteFreglyCurves
-from mbd_ros.core.muscles.muscle import FirstOrder, Muscle, SmoothFirstOrder
+from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.muscles.rigid_tendons import RigidTendons
 from mbd_ros.core.state import Array, State
 from mbd_ros.methods.inverse_dynamics.reserves import (
@@ -25,11 +24,7 @@ from mbd_ros.methods.inverse_dynamics.reserves import (
     Reserve,
 )
 
-# ---- muscle frames ----------------------------------------------------------------------------
-# What muscles and reserves can exert in each of many frames.
-
-
-_FEW = 4  # frames that cost less one by one, but where a search takes many
+_FEW_FRAMES = 4  # that cost less one by one, but where a search takes many
 
 
 class Frames(NamedTuple):
@@ -59,7 +54,6 @@ class MuscleFrames:
     One instance owns one Pinocchio `Data`: not for two threads.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints.
         muscles: At least one.
         reserves: What helps them.
@@ -82,7 +76,7 @@ class MuscleFrames:
         paths = {part.name: part.path for part in muscles}
         self._batch = PathBatch(robot, couplings, paths, search)
         wraps = any(getattr(path, "wraps", ()) for path in paths.values())
-        self._few = 0 if wraps and search is not None else _FEW
+        self._few = 0 if wraps and search is not None else _FEW_FRAMES
         self._nv, data = int(robot.model.nv), pin.Data(robot.model)
         self._k = Kinematics(robot, data)
         self._fixed = np.zeros((len(couplings.v_index), len(reserves)))
@@ -184,145 +178,3 @@ class MuscleFrames:
             every = [np.repeat(np.broadcast_to(slope, count), n) for slope in slopes]
         tau, _ = self._couplings.reduce(np.ascontiguousarray(full.reshape(-1, nv).T), every)
         return tau.T.reshape(count, n, len(tau))
-
-
-# ---- muscle trial -----------------------------------------------------------------------------
-# A known motion as muscles see it, and what they do in it with their dynamics.
-
-
-class Trial(NamedTuple):
-    """What is known at the start and at the points of all intervals, with n muscles, r reserves.
-
-    Attributes:
-        widths: Of the intervals [s], shape (intervals,).
-        length: Of the paths [m], shape (points, n).
-        strength: Change of the tension with the activation beside rigid tendons [N], same shape.
-        offset: Tension there without activation [N], same shape.
-        columns: Force of the independent coordinates by a tension of 1 N and by an effort of 1
-            of a reserve, shape (points, nv_y, n + r).
-        needed: Force that the motion needs of each independent coordinate [N·m or N], shape
-            (points, nv_y).
-        sizes: Usual sizes of that force, shape (nv_y,).
-        prices: Of excitations, shape (points, n).
-        stiffness: Price of the squared distance of activations from measured ones, same shape.
-        target: The measured ones, same shape.
-        least: Lower bounds of activations, same shape.
-        limits: Smallest and largest efforts of the reserves, shape (2, r).
-    """
-
-    widths: Array
-    length: Array
-    strength: Array
-    offset: Array
-    columns: Array
-    needed: Array
-    sizes: Array
-    prices: Array
-    stiffness: Array
-    target: Array
-    least: Array
-    limits: Array
-
-    def cost(self, found: "Excited", b: Array, falling: Array, exponent: float) -> float:
-        """What excitations, distances from measured activations, reserves and the start cost.
-
-        Args:
-            found: What muscles do.
-            b: Shares of the points in the width of an interval.
-            falling: Time in which activations fall [s], shape (n,).
-            exponent: The p.
-        """
-        p, (a, e, r) = exponent, (values[1:] for values in found[:3])
-        each = (self.prices[1:] * e**p + self.stiffness[1:] * (a - self.target[1:]) ** 2).sum(1)
-        each += (np.abs(r) ** p).sum(axis=1)
-        before = falling @ (self.prices[0] * found.activation[0] ** p)
-        return float((self.widths[:, None] * b).ravel() @ each + before)
-
-
-class Excited(NamedTuple):
-    """What muscles do at the start and at the points of a trial, with ne elastic tendons.
-
-    Attributes:
-        activation: Shape (1 + points, n).
-        excitation: The same; at the start, what the activation came from.
-        effort: Of the reserves, shape (1 + points, r).
-        fiber_length: Of fibres beside elastic tendons [m], shape (1 + points, ne).
-        fiber_speed: Its rate per largest speed, shape (1 + points, ne).
-    """
-
-    activation: Array
-    excitation: Array
-    effort: Array
-    fiber_length: Array
-    fiber_speed: Array
-
-
-class Optimal(NamedTuple):
-    """A trial of least cost.
-
-    Attributes:
-        excited: What muscles do.
-        cost: Integral of the costs [s].
-        iterations: Of the solver.
-        is_good: Whether the conditions of an optimum hold.
-        status: What the solver says.
-        residual: Of the conditions of the optimum, in usual sizes.
-        lacking: Violations of the balance of forces, in usual sizes, shape (points, nv_y).
-        slopes: What the cost of an interval and all after it gains by activations and lengths of
-            fibres at its start, shape (intervals, n + ne).
-    """
-
-    excited: Excited
-    cost: float
-    iterations: int
-    is_good: bool
-    status: str
-    residual: float
-    lacking: Array
-    slopes: Array
-
-
-# ---- muscle dynamics --------------------------------------------------------------------------
-# Which dynamics muscles have where they share a whole motion.
-
-
-ACTIVATION, TENDON = "activation", "tendon"
-DEFAULTS = (0.02, 4, 1.0e-3)  # of all but `kind`
-_CURVES = DeGrooteFreglyCurves(4.0, 0.6, 0.049, 1.0, 0.01)
-_STEEPNESS = 0.1
-
-
-class MuscleDynamics(NamedTuple):
-    """What takes part, and how finely it is followed.
-
-    Attributes:
-        kind: `activation`: activations follow excitations, tendons are rigid; `tendon`: tendons
-            are elastic, too, where the muscle says so.
-        interval: Longest interval of the mesh [s].
-        degree: Points on an interval.
-        tolerance: Largest error of activations between points; finer intervals are tried where it
-            is larger.
-    """
-
-    kind: str
-    interval: float
-    degree: int
-    tolerance: float
-
-
-def muscles_with(dynamics: MuscleDynamics, muscles: Sequence[Muscle]) -> list[Muscle]:
-    """The muscles with these dynamics, on the same paths.
-
-    Curves of other types have kinks, at which no optimum is found: these muscles get the curves
-    and the activation of De Groote and Fregly, with their own sizes and times.
-    """
-    found = []
-    for muscle in muscles:
-        law, rate, tendon = muscle.contraction, muscle.dynamics, muscle.tendon
-        if isinstance(rate, FirstOrder):
-            law = law._replace(curves=_CURVES)
-            rate = SmoothFirstOrder(rate.rising, rate.falling, rate.least, _STEEPNESS)
-        one = Muscle(muscle.path, law, rate, tendon if dynamics.kind == TENDON else "rigid")
-        one.name = muscle.name
-        found.append(one)
-    return found

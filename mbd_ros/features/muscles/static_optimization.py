@@ -4,8 +4,10 @@
 
 with F0_i the force of muscle i at full activation beside a rigid tendon, at the length and the
 speed of the frame, e_j the effort of reserve j in optimal forces and tau the force that inverse
-dynamics finds without muscles, for all coordinates that are independent. Activation and tendon
-have no dynamics here: no frame knows of another, unless rates of activation are limited.
+dynamics finds without muscles, for all coordinates that are independent. Prices w_i have no units,
+and are about 1 for a muscle of the mean size. Activation and tendon have no dynamics here: no
+frame knows of another, unless rates of activation are limited.
+
 Source: K. R. Kaufman, K. An, W. Litchy, E. Chao, J. Biomech. 24 (1991) 781, 793.
 """
 
@@ -27,14 +29,7 @@ from mbd_ros.features.muscles.muscle_frames import Frames, MuscleFrames
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.methods.inverse_dynamics.reserves import Reserve
 
-# ---- sharing costs ----------------------------------------------------------------------------
-# What muscles minimise where they share a load: prices of activations, one a muscle and frame.
-#
-# The cost is sum w_i a_i^p of the muscles and sum |e_j|^p of reserves, e the effort
-# in optimal forces. Prices have no units, and are about 1 for a muscle of the mean size.
-
-
-_LEAST = 1.0e-6  # price of a muscle that has no force at all
+_LEAST_PRICE = 1.0e-6  # price of a muscle that has no force at all
 EXPONENTS = {"activation": 2.0, "stress": 3.0, "volume": 2.0, "metabolic": 1.0}
 
 
@@ -69,7 +64,7 @@ class Criterion(NamedTuple):
         if self.kind == "activation":
             return np.ones_like(active)
         if self.kind == "stress":
-            return np.maximum((active / sizes.peak) ** self.exponent, _LEAST)
+            return np.maximum((active / sizes.peak) ** self.exponent, _LEAST_PRICE)
         if self.kind == "volume":
             volume = sizes.peak * sizes.optimal
             return np.broadcast_to(volume / volume.mean(), active.shape)
@@ -78,46 +73,6 @@ class Criterion(NamedTuple):
 
 
 DEFAULT = Criterion()
-
-
-class Sizes(NamedTuple):
-    """Numbers of muscles, shape (n,) each.
-
-    Attributes:
-        peak: Largest isometric force [N].
-        optimal: Fibre length at which it is reached [m].
-        fastest: Largest speed of shortening [m/s].
-    """
-
-    peak: Array
-    optimal: Array
-    fastest: Array
-
-
-def sizes_of(muscles: Sequence[Muscle]) -> Sizes:
-    """Sizes of muscles."""
-    every = [muscle.contraction for muscle in muscles]
-    rows = [[c.peak, c.optimal, c.fastest] for c in every]
-    return Sizes(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
-
-
-def shortening_rate(shortening: Array) -> Array:
-    """Metabolic rate of active fibres per peak force and largest speed.
-
-    Source: A. E. Minetti, R. McN. Alexander, J. Theor. Biol. 186 (1997) 467.
-
-    Args:
-        shortening: Speed per largest speed, negative where fibres lengthen; kept within -1 .. 1.
-    """
-    x = np.clip(shortening, -1.0, 1.0)
-    above = 0.054 + x * (0.506 + 2.46 * x)
-    return np.asarray(above / (1.0 + x * (-1.13 + x * (12.8 - 1.64 * x))))
-
-
-# ---- sharing options --------------------------------------------------------------------------
-# What is asked of the activations that share a motion.
-
-
 MOST_WITH_TRACKING = 3.0  # exponent beside a measured activation
 
 
@@ -142,28 +97,6 @@ class Wishes(NamedTuple):
 
 
 NOTHING_SPECIAL = Wishes()
-
-
-def check_wishes(muscles: Sequence[Muscle], wishes: Wishes) -> None:
-    """Refuse what no optimum is defined for.
-
-    Raises:
-        ModelError: No muscles, an exponent beside tracking that is too large, or a rate of 0.
-    """
-    if not muscles:
-        raise ModelError("static optimisation: the scene has no muscles")
-    exponent = wishes.criterion.exponent
-    if wishes.tracking > 0.0 and exponent > MOST_WITH_TRACKING:
-        raise ModelError(
-            f"static optimisation: exponent {exponent:g} beside measured activations that are "
-            f"tracked; accepted: 1 .. {MOST_WITH_TRACKING:g}"
-        )
-    if not (wishes.rise > 0.0 and wishes.fall > 0.0):
-        raise ModelError("static optimisation: rates of activation must be greater than 0")
-
-
-# ---- static optimization ----------------------------------------------------------------------
-# Static optimisation: how muscles share the forces that a motion needs, frame by frame.
 
 
 @dataclass(frozen=True)
@@ -217,7 +150,6 @@ class StaticOptimization:
     threads.
 
     Args:
-        robot: The robot.
         known: Inverse dynamics of the robot without its muscles.
         muscles: At least one.
         reserves: What helps them.
@@ -379,9 +311,61 @@ class StaticOptimization:
         return SeparableCost(self.wishes.criterion.exponent, weight, none, stiffness, target)
 
 
+def check_wishes(muscles: Sequence[Muscle], wishes: Wishes) -> None:
+    """Refuse what no optimum is defined for.
+
+    Raises:
+        ModelError: No muscles, an exponent beside tracking that is too large, or a rate of 0.
+    """
+    if not muscles:
+        raise ModelError("static optimisation: the scene has no muscles")
+    exponent = wishes.criterion.exponent
+    if wishes.tracking > 0.0 and exponent > MOST_WITH_TRACKING:
+        raise ModelError(
+            f"static optimisation: exponent {exponent:g} beside measured activations that are "
+            f"tracked; accepted: 1 .. {MOST_WITH_TRACKING:g}"
+        )
+    if not (wishes.rise > 0.0 and wishes.fall > 0.0):
+        raise ModelError("static optimisation: rates of activation must be greater than 0")
+
+
+class Sizes(NamedTuple):
+    """Numbers of muscles, shape (n,) each.
+
+    Attributes:
+        peak: Largest isometric force [N].
+        optimal: Fibre length at which it is reached [m].
+        fastest: Largest speed of shortening [m/s].
+    """
+
+    peak: Array
+    optimal: Array
+    fastest: Array
+
+
+def sizes_of(muscles: Sequence[Muscle]) -> Sizes:
+    """Sizes of muscles."""
+    every = [muscle.contraction for muscle in muscles]
+    rows = [[c.peak, c.optimal, c.fastest] for c in every]
+    return Sizes(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
+
+
 def _scaled(A: Array) -> Array:
     """Rows and columns of about equal size, so that ranks do not depend on units."""
     rows = np.abs(A).max(axis=2, keepdims=True, initial=0.0)
     A = A / np.where(rows > 0.0, rows, 1.0)
     columns = np.abs(A).max(axis=1, keepdims=True, initial=0.0)
     return np.asarray(A / np.where(columns > 0.0, columns, 1.0))
+
+
+def shortening_rate(shortening: Array) -> Array:
+    """Metabolic rate of active fibres per peak force and largest speed.
+
+    Source: A. E. Minetti, R. McN. Alexander, J. Theor. Biol. 186 (1997) 467.
+
+    Args:
+        shortening: Speed per largest speed, negative where fibres lengthen; kept within -1 .. 1.
+    """
+    x = np.clip(shortening, -1.0, 1.0)
+    above = 0.054 + x * (0.506 + 2.46 * x)
+    return np.asarray(above / (1.0 + x * (-1.13 + x * (12.8 - 1.64 * x))))

@@ -10,7 +10,7 @@ from mbd_ros.core.loads.inputs import input_names
 from mbd_ros.core.ranges import Positive, Unit, Within
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.features.muscles.muscle_frames import DEFAULTS, MuscleDynamics
+from mbd_ros.features.muscles.muscle_trial import DEFAULTS, MuscleDynamics
 from mbd_ros.features.muscles.static_optimization import (
     EXPONENTS,
     Criterion,

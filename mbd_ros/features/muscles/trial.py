@@ -1,4 +1,9 @@
-"""Sharing with the dynamics of activations and tendons, over a whole motion at once."""
+"""Sharing with the dynamics of activations and tendons, over a whole motion at once.
+
+The motion is known at points of a mesh; excitations that explain it at least cost are the solution
+of `trial_program`. Where activations between points are off by more than a tolerance, intervals
+are halved and solved again, with those beside them.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -14,9 +19,9 @@ from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError, SolveError
-from mbd_ros.features.muscles.muscle_frames import (
+from mbd_ros.features.muscles.muscle_frames import Frames
+from mbd_ros.features.muscles.muscle_trial import (
     Excited,
-    Frames,
     MuscleDynamics,
     Optimal,
     Trial,
@@ -27,12 +32,86 @@ from mbd_ros.jobs.progress import announce
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
 from mbd_ros.optimal_control.collocation import RADAU, Collocation, collocation
 
-# ---- trial points -----------------------------------------------------------------------------
-# Where a trial of muscles is looked at, and what is between.
-
-
 _NEAR = 1.0  # longest intervals beside one that is cut: muscles forget over some 0.02 s
-_HALVED = 4  # times, at either end: activations change fastest there
+_HALVINGS = 4  # of intervals, at either end: activations change fastest there
+_LEAST_SIZE = 1.0e-3  # of the largest force: what a coordinate that needs hardly anything counts
+_BISECTIONS = 30  # to the length at which fibres and tendons are in balance
+_ACCURACY = 1.0e-6  # of the conditions of the optimum
+_FLAT_ACCURACY = 0.1  # of that, where costs are flat at small excitations
+_MOST_ITERATIONS = 500
+_REFINEMENTS = 2  # of the mesh, at most
+_NAMED = 3  # worst places of a trial that cannot be produced
+
+
+class Shared(NamedTuple):
+    """A trial at the samples of its motion.
+
+    Attributes:
+        shares: As static optimisation gives them.
+        excitation: Shape (samples, n).
+        fiber_length: Of fibres beside elastic tendons [m], by muscle.
+        remarks: What was found, a line each.
+    """
+
+    shares: Shares
+    excitation: Array
+    fiber_length: dict[str, Array]
+    remarks: tuple[str, ...]
+
+
+def shared_trial(
+    solver: StaticOptimization,
+    asked: MuscleDynamics,
+    samples: Observations,
+    wrenches: Sequence[Array],
+    static: Shares,
+    measured: Callable[[Array], Array | None],
+) -> Shared:
+    """The excitations that explain a motion at least cost.
+
+    Args:
+        solver: Of the frames one by one.
+        asked: What dynamics.
+        samples: The motion.
+        wrenches: External loads at its samples.
+        static: What static optimisation says of them.
+        measured: Measured activations at some stamps [ns].
+
+    Raises:
+        DataError: The motion is too short.
+        SolveError: Muscles and reserves cannot produce it; names where.
+    """
+    from mbd_ros.features.muscles.trial_program import MuscleProgram  # the extra compiled
+
+    times = (samples.stamps - samples.stamps[0]) * NANOSECOND
+    if len(times) < 4:
+        raise DataError(f"{len(times)} frames: dynamics of muscles need at least 4")
+    muscles, p = muscles_with(asked, solver.muscles), solver.wishes.criterion.exponent
+    count = max(1, math.ceil(times[-1] / asked.interval - 1.0e-6))
+    points = Points(graded(times[-1], count), collocation(RADAU, asked.degree))
+
+    def solved(points: Points, guess: Excited, part: Any = None) -> Optimal:
+        trial = known_at(points, solver, muscles, samples, wrenches, measured)
+        program = MuscleProgram(muscles, trial, points.scheme, p, part)
+        accuracy = _ACCURACY if p == 2.0 else _FLAT_ACCURACY * _ACCURACY
+        return program.solve(guess, accuracy, _MOST_ITERATIONS, part is not None)
+
+    announce(f"excitations on {len(points.knots) - 1} intervals")
+    guess = first_guess(muscles, points.whole, times, static)
+    found = solved(points, guess)
+    if not found.is_good:
+        begin = float(samples.stamps[0] * NANOSECOND)
+        raise SolveError(_why(solver, found, begin + points.times))
+    points, found, off = _refined(muscles, points, found, asked.tolerance, solved)
+    return _at_samples(solver, muscles, points, found, static, times, off)
+
+
+def graded(duration: float, count: int) -> Array:
+    """Ends of equal intervals, of which the first and the last are halved towards the ends."""
+    knots = np.linspace(0.0, duration, count + 1)
+    short = knots[1] * 0.5 ** np.arange(_HALVINGS, 0, -1)
+    found: Array = np.unique(np.concatenate((knots, short, duration - short)))
+    return found
 
 
 class Points(NamedTuple):
@@ -100,23 +179,6 @@ class Points(NamedTuple):
         return interval, (t - self.knots[interval]) / h
 
 
-def graded(duration: float, count: int) -> Array:
-    """Ends of equal intervals, of which the first and the last are halved towards the ends."""
-    knots = np.linspace(0.0, duration, count + 1)
-    short = knots[1] * 0.5 ** np.arange(_HALVED, 0, -1)
-    found: Array = np.unique(np.concatenate((knots, short, duration - short)))
-    return found
-
-
-# ---- trial ------------------------------------------------------------------------------------
-# Sharing with the dynamics of activations and tendons, over a whole motion at once.
-
-
-# What is known of a trial of muscles: the motion, and what it takes.
-
-_LEAST_SIZE = 1.0e-3  # of the largest force: what a coordinate that needs hardly anything counts
-
-
 def known_at(
     points: Points,
     solver: StaticOptimization,
@@ -172,11 +234,6 @@ def rigid_tensions(muscles: Sequence[Muscle], frames: Frames) -> tuple[Array, Ar
     return strength, offset
 
 
-# Where a trial of muscles is looked for first, and again at other times.
-
-_BISECTIONS = 30
-
-
 def first_guess(muscles: Sequence[Muscle], at: Array, times: Array, static: Shares) -> Excited:
     """Excitations as activations of frames one by one, fibres at rest beside their tendons."""
     every = static.activation, static.frames.length
@@ -206,18 +263,51 @@ def _at_rest(law: Contraction, activation: Array, length: Array) -> Array:
     return 0.5 * (short + long)
 
 
-def moved(points: Points, found: Excited, at: Array) -> Excited:
-    """What was found, at other times."""
-    states = (points.states(values, at) for values in (found.activation, found.fiber_length))
-    activation, fibers = states
-    inputs = found.excitation, found.effort, found.fiber_speed
-    excitation, effort, speed = (points.inputs(values, at) for values in inputs)
-    return Excited(activation, excitation, effort, fibers, speed)
+def _why(solver: StaticOptimization, found: Optimal, at: Array) -> str:
+    """What could not be produced, and where."""
+    names = solver.known.couplings.independent
+    worst = np.argsort(found.lacking, axis=None)[::-1][:_NAMED]
+    places = [np.unravel_index(one, found.lacking.shape) for one in worst]
+    said = ", ".join(
+        f"{names[j] if j < len(names) else f'coordinate {j}'} at {at[i]:.3f} s "
+        f"({100.0 * found.lacking[i, j]:.2g} % of its largest force)"
+        for i, j in places
+        if found.lacking[i, j] > _ACCURACY
+    )
+    return (
+        f"dynamics of muscles: no solution after {found.iterations} iterations "
+        f"({found.status}); " + (f"what lacks most: {said}; give reserves" if said else "")
+    )
+
+
+def _refined(
+    muscles: Sequence[Muscle],
+    points: Points,
+    found: Optimal,
+    tolerance: float,
+    solved: Callable[..., Optimal],
+) -> tuple[Points, Optimal, float]:
+    """Solved again on halves of intervals and beside them, where errors are larger than that."""
+    from mbd_ros.features.muscles.trial_program import Part
+
+    off = between(muscles, points, found.excited)
+    for _ in range(_REFINEMENTS):
+        if off.max() <= tolerance:
+            break
+        finer, is_near = points.split(off > tolerance)
+        announce(f"excitations again on {is_near.sum()} of {len(is_near)} intervals")
+        part = Part(is_near, points.at_starts(found.slopes, finer))
+        guess = moved(points, found.excited, finer.whole)
+        better = solved(finer, guess, part)
+        if not better.is_good:
+            break
+        largest = max(found.residual, better.residual)
+        points, found = finer, better._replace(residual=largest)
+        off = between(muscles, points, found.excited)
+    return points, found, float(off.max())
 
 
 # How far activations of a trial are off between the points where it is looked at.
-
-
 def between(muscles: Sequence[Muscle], points: Points, found: Excited) -> Array:
     """Largest error of the activations over each interval, by their defect between the points.
 
@@ -238,99 +328,13 @@ def between(muscles: Sequence[Muscle], points: Points, found: Excited) -> Array:
     return found_
 
 
-_ACCURACY, _MOST, _ROUNDS = 1.0e-6, 500, 2
-_FINER = 0.1  # accuracy where costs are flat at small excitations
-_NAMED = 3  # worst places of a trial that cannot be produced
-
-
-class Shared(NamedTuple):
-    """A trial at the samples of its motion.
-
-    Attributes:
-        shares: As static optimisation gives them.
-        excitation: Shape (samples, n).
-        fiber_length: Of fibres beside elastic tendons [m], by muscle.
-        remarks: What was found, a line each.
-    """
-
-    shares: Shares
-    excitation: Array
-    fiber_length: dict[str, Array]
-    remarks: tuple[str, ...]
-
-
-def shared_trial(
-    solver: StaticOptimization,
-    asked: MuscleDynamics,
-    samples: Observations,
-    wrenches: Sequence[Array],
-    static: Shares,
-    measured: Callable[[Array], Array | None],
-) -> Shared:
-    """The excitations that explain a motion at least cost.
-
-    Args:
-        solver: Of the frames one by one.
-        asked: What dynamics.
-        samples: The motion.
-        wrenches: External loads at its samples.
-        static: What static optimisation says of them.
-        measured: Measured activations at some stamps [ns].
-
-    Raises:
-        DataError: The motion is too short.
-        SolveError: Muscles and reserves cannot produce it; names where.
-    """
-    from mbd_ros.features.muscles.trial_program import MuscleProgram  # the extra compiled
-
-    times = (samples.stamps - samples.stamps[0]) * NANOSECOND
-    if len(times) < 4:
-        raise DataError(f"{len(times)} frames: dynamics of muscles need at least 4")
-    muscles, p = muscles_with(asked, solver.muscles), solver.wishes.criterion.exponent
-    count = max(1, math.ceil(times[-1] / asked.interval - 1.0e-6))
-    points = Points(graded(times[-1], count), collocation(RADAU, asked.degree))
-
-    def solved(points: Points, guess: Excited, part: Any = None) -> Optimal:
-        trial = known_at(points, solver, muscles, samples, wrenches, measured)
-        program = MuscleProgram(muscles, trial, points.scheme, p, part)
-        accuracy = _ACCURACY if p == 2.0 else _FINER * _ACCURACY
-        return program.solve(guess, accuracy, _MOST, part is not None)
-
-    announce(f"excitations on {len(points.knots) - 1} intervals")
-    guess = first_guess(muscles, points.whole, times, static)
-    found = solved(points, guess)
-    if not found.is_good:
-        begin = float(samples.stamps[0] * NANOSECOND)
-        raise SolveError(_why(solver, found, begin + points.times))
-    points, found, off = _refined(muscles, points, found, asked.tolerance, solved)
-    return _at_samples(solver, muscles, points, found, static, times, off)
-
-
-def _refined(
-    muscles: Sequence[Muscle],
-    points: Points,
-    found: Optimal,
-    tolerance: float,
-    solved: Callable[..., Optimal],
-) -> tuple[Points, Optimal, float]:
-    """Solved again on halves of intervals and beside them, where errors are larger than that."""
-    from mbd_ros.features.muscles.trial_program import Part
-
-    off = between(muscles, points, found.excited)
-    for _ in range(_ROUNDS):
-        if off.max() <= tolerance:
-            break
-        finer, is_near = points.split(off > tolerance)
-        announce(f"excitations again on {is_near.sum()} of {len(is_near)} intervals")
-        part = Part(is_near, points.at_starts(found.slopes, finer))
-        guess = moved(points, found.excited, finer.whole)
-        better = solved(finer, guess, part)
-        if not better.is_good:
-            break
-        largest = max(found.residual, better.residual)
-        points, found = finer, better._replace(residual=largest)
-        off = between(muscles, points, found.excited)
-    return points, found, float(off.max())
+def moved(points: Points, found: Excited, at: Array) -> Excited:
+    """What was found, at other times."""
+    states = (points.states(values, at) for values in (found.activation, found.fiber_length))
+    activation, fibers = states
+    inputs = found.excitation, found.effort, found.fiber_speed
+    excitation, effort, speed = (points.inputs(values, at) for values in inputs)
+    return Excited(activation, excitation, effort, fibers, speed)
 
 
 def _at_samples(
@@ -383,20 +387,3 @@ def _reserved(static: Shares, force: Array) -> tuple[Array, Array]:
     reserve = np.einsum("tij,tj->ti", np.linalg.pinv(columns[:, :, n:]), lacking)
     lacking -= np.einsum("tji,ti->tj", columns[:, :, n:], reserve)
     return reserve, lacking
-
-
-def _why(solver: StaticOptimization, found: Optimal, at: Array) -> str:
-    """What could not be produced, and where."""
-    names = solver.known.couplings.independent
-    worst = np.argsort(found.lacking, axis=None)[::-1][:_NAMED]
-    places = [np.unravel_index(one, found.lacking.shape) for one in worst]
-    said = ", ".join(
-        f"{names[j] if j < len(names) else f'coordinate {j}'} at {at[i]:.3f} s "
-        f"({100.0 * found.lacking[i, j]:.2g} % of its largest force)"
-        for i, j in places
-        if found.lacking[i, j] > _ACCURACY
-    )
-    return (
-        f"dynamics of muscles: no solution after {found.iterations} iterations "
-        f"({found.status}); " + (f"what lacks most: {said}; give reserves" if said else "")
-    )

@@ -28,28 +28,158 @@ from mbd_ros.compiled.symbols.scalar import Scalar, plain
 from mbd_ros.core.muscles.contraction import Contraction, Fiber, Pennation
 from mbd_ros.core.muscles.muscle import ActivationDynamics, Muscle
 from mbd_ros.core.state import Array
-from mbd_ros.features.muscles.muscle_frames import Excited, Optimal, Trial
+from mbd_ros.features.muscles.muscle_trial import Excited, Optimal, Trial
 from mbd_ros.optimal_control.collocation import Collocation
 from mbd_ros.optimal_control.ipopt import Solved, solve
 from mbd_ros.optimal_control.sparse_program import Block, Form, Places, SparseProgram
 
-# ---- trial forms ------------------------------------------------------------------------------
-# Equations of one muscle or of one time, that repeat over muscles, intervals and points.
+_ROUNDED = 1.0e-3  # kink of a price at 0: of full excitation and of the optimal force of a reserve
+_FASTEST = 3.0  # speed of fibres, per largest speed
+_LONGEST = 2.0  # fibres, per optimal length
+_SHORTEST = 0.05  # per optimal length, where fibres may be as short as they like
+_USUAL_EXCITATION = 0.05  # that prices are scaled by
+_ROOM = 0.1  # beyond what excitations bound: two bounds at one place take iterations
+_OPTIONS = {  # rows and unknowns are in usual sizes: scaling and refinement take time alone
+    "mu_init": 0.01,
+    "min_refinement_steps": 0,
+    "mumps_mem_percent": 100,
+    "mumps_scaling": 0,
+    "mumps_permuting_scaling": 0,
+    "mumps_pivot_order": 2,
+}
+_NEAR_OPTIONS = {  # where the guess is nearly the optimum
+    "mu_strategy": "monotone",
+    "mu_init": 1.0e-4,
+    "bound_push": 1.0e-5,
+    "bound_frac": 1.0e-5,
+}
 
 
-_ROUND = 1.0e-3  # of full excitation and of the optimal force of a reserve
+class Part(NamedTuple):
+    """What of a trial is solved.
+
+    Attributes:
+        solved: Which intervals, shape (intervals,); the others stay as they are.
+        slopes: What the cost of an interval and all after it gains by activations and lengths of
+            fibres at its start, shape (intervals, n + ne).
+    """
+
+    solved: NDArray[np.bool_]
+    slopes: Array
 
 
-def price_form(exponent: float) -> Form:
-    """Of x it gives w |x|^p; data: w."""
-    x, weight = ca.SX.sym("x"), ca.SX.sym("w")
-    return Form(x, weight, ca.SX(0, 1), weight * _power(x, exponent))
+class MuscleProgram:
+    """The nonlinear program of one trial.
 
+    Args:
+        muscles: At least one.
+        trial: What is known of it at the points.
+        scheme: Whose last point is the end of an interval.
+        exponent: The p.
+        part: Which intervals are solved; None for all.
+    """
 
-def slope_form() -> Form:
-    """Of x it gives s x; data: s."""
-    x, slope = ca.SX.sym("x"), ca.SX.sym("s")
-    return Form(x, slope, ca.SX(0, 1), slope * x)
+    def __init__(
+        self,
+        muscles: Sequence[Muscle],
+        trial: Trial,
+        scheme: Collocation,
+        exponent: float,
+        part: Part | None = None,
+    ) -> None:
+        self._muscles, self._trial, self._scheme = tuple(muscles), trial, scheme
+        self._elastic = [i for i, muscle in enumerate(muscles) if muscle.is_elastic]
+        self._n, self._ne = len(muscles), len(self._elastic)
+        self._r = trial.columns.shape[2] - self._n
+        self._each = 2 * self._n + self._r + 2 * self._ne  # unknowns at a point
+        self._exponent = exponent
+        self._first = self._n + self._ne  # unknowns at the start
+        self._points = len(trial.length) - 1
+        every = np.ones(len(trial.widths), dtype=bool)
+        self._part = part or Part(every, np.zeros((len(every), self._first)))
+        self._blocks = MuscleBlocks(self._muscles, trial, scheme, exponent, self._part)
+
+    def solve(self, guess: Excited, accuracy: float, most: int, is_near: bool) -> Optimal:
+        """The optimum.
+
+        Args:
+            guess: From where it is looked for.
+            accuracy: Of the conditions of the optimum.
+            most: Iterations.
+            is_near: Whether the guess is nearly the optimum.
+        """
+        lower, upper = self._bounds()
+        points = np.hstack(guess)[1:]
+        first = guess.activation[0], guess.fiber_length[0]
+        start = np.concatenate((*first, points.ravel()))
+        is_open = np.repeat(self._part.solved, self._scheme.degree * self._each)
+        is_open = np.concatenate((np.full(self._first, self._part.solved[0]), is_open))
+        known = np.where(is_open, np.nan, start)
+        start = np.where(is_open, np.clip(start, lower, upper), start)
+        curvature = self._trial.prices * np.maximum(guess.activation, _USUAL_EXCITATION) ** (
+            self._exponent - 2.0
+        )
+        cost_size = float(self._trial.widths.sum() * curvature.mean()) / self._points
+        program = SparseProgram(self._blocks.all(), self._sizes(), known, cost_size)
+        given: dict[str, Any] = {"accuracy": accuracy, "most": most, "is_near": is_near}
+        given["options"] = {**_OPTIONS, **(_NEAR_OPTIONS if is_near else {})}
+        return self._optimal(solve(program, start, lower, upper, **given), program)
+
+    def _optimal(self, found: Solved, program: SparseProgram) -> Optimal:
+        n, r, ne = self._n, self._r, self._ne
+        a, lengths = np.split(found.x[: self._first], (n,))
+        points = found.x[self._first :].reshape(-1, self._each)
+        start = np.concatenate((a, a, np.zeros(r), lengths, np.zeros(ne)))
+        parts = np.split(np.vstack((start, points)), np.cumsum([n, n, r, ne]), axis=1)
+        off, forces = np.abs(found.rows / program.row_sizes), program.slices[-1]
+        lacking = np.zeros_like(self._trial.needed[1:])
+        at = np.repeat(self._part.solved, self._scheme.degree)
+        lacking[at] = off[forces].reshape(-1, lacking.shape[1])
+        residual = max(found.violation, found.stationarity)
+        excited, falling = Excited(*parts), np.array([m.dynamics.falling for m in self._muscles])
+        cost = self._trial.cost(excited, self._scheme.b, falling, self._exponent)
+        how = cost, found.iterations, found.is_good, found.status, residual
+        return Optimal(excited, *how, lacking, self._slopes(found, program))
+
+    def _slopes(self, found: Solved, program: SparseProgram) -> Array:
+        """The slopes of `Part`, of intervals that were solved the new ones."""
+        slopes, solved = self._part.slopes.copy(), np.flatnonzero(self._part.solved)
+        of_start = start_slopes(self._scheme)
+        columns = [*self._blocks.kinds, [*range(self._n, self._first)]]
+        named = zip(program.blocks, program.slices, strict=True)
+        moving = [rows for block, rows in named if block.name in ("activations", "fibers")]
+        for rows, some in zip(moving, columns, strict=False):  # no fibres, no rows
+            forces = found.row_forces[rows].reshape(len(solved), len(some), -1)
+            slopes[np.ix_(solved, some)] = forces @ of_start
+        return slopes
+
+    def _sizes(self) -> Array:
+        """Usual sizes: of fibres their optimal length."""
+        lengths = [self._muscles[i].contraction.optimal for i in self._elastic]
+        point = np.ones(self._each)
+        point[2 * self._n + self._r :][: self._ne] = lengths
+        return np.concatenate((np.ones(self._n), lengths, np.tile(point, self._points)))
+
+    def _bounds(self) -> tuple[Array, Array]:
+        n, ne, trial = self._n, self._ne, self._trial
+        laws = [self._muscles[i].contraction for i in self._elastic]
+        least = np.array([muscle.dynamics.least for muscle in self._muscles], dtype=np.float64)
+        shortest = [max(law.pennation.shortest, _SHORTEST * law.optimal) for law in laws]
+        longest = [_LONGEST * law.optimal for law in laws]
+        fast = np.full(ne, _FASTEST)
+        low, high = (
+            self._tiled((least, trial.limits[0], shortest, -fast)),
+            self._tiled((np.ones(n), trial.limits[1], longest, fast)),
+        )
+        raised = np.where(trial.least > least, trial.least, least - _ROOM)[1:]
+        at_least = np.hstack((raised, low)).ravel()
+        at_most = np.hstack((np.full_like(raised, 1.0 + _ROOM), high)).ravel()
+        lower = np.concatenate((trial.least[0], shortest, at_least))
+        return lower, np.concatenate((np.ones(n), longest, at_most))
+
+    def _tiled(self, parts: Sequence[Any]) -> Array:
+        """One row a point."""
+        return np.tile(np.concatenate(parts), (self._points, 1))
 
 
 def start_slopes(scheme: Collocation) -> Array:
@@ -59,129 +189,13 @@ def start_slopes(scheme: Collocation) -> Array:
     return found
 
 
-def activation_form(dynamics: ActivationDynamics, scheme: Collocation, exponent: float) -> Form:
-    """One activation on one interval, and what its excitation costs.
-
-    Unknown are the activation at the start, activations and excitations at the points; data:
-    width of the interval, numbers of the dynamics, then prices, stiffness and target at points.
-    """
-    kind: Any = type(dynamics)
-    d, count = scheme.degree, len(kind._fields)
-    a, e = ca.SX.sym("a", d + 1), ca.SX.sym("e", d)
-    h, own, known = ca.SX.sym("h"), ca.SX.sym("n", count), ca.SX.sym("k", d, 3)
-    law = kind(*(Scalar(own[i]) for i in range(count)))
-    rates = [plain(law.rate(SymbolicKinematics, Scalar(e[j]), Scalar(a[j + 1]))) for j in range(d)]
-    prices, stiffness, target = ca.horzsplit(known)
-    costs = prices * _power(e, exponent) + stiffness * (a[1:] - target) ** 2
-    rows = _defects(scheme, a, h * ca.vertcat(*rates))
-    cost = h * ca.dot(ca.DM(scheme.b), costs)
-    return Form(ca.vertcat(a, e), ca.vertcat(h, own, ca.vec(known)), rows, cost)
-
-
-def fiber_form(scheme: Collocation) -> Form:
-    """One length of fibres on one interval: l' = v fastest; data: width, fastest."""
-    l, v = ca.SX.sym("l", scheme.degree + 1), ca.SX.sym("v", scheme.degree)  # noqa: E741
-    known = ca.SX.sym("k", 2)
-    return Form(ca.vertcat(l, v), known, _defects(scheme, l, known[0] * known[1] * v))
-
-
-def tendon_form(curves: Any) -> Form:
-    """Balance of one tendon with its fibres, per peak force.
-
-    Unknown are activation, length and speed of the fibres; data: the length of the path, then the
-    numbers of `contraction_numbers`.
-    """
-    x, known = ca.SX.sym("x", 3), ca.SX.sym("k", 8)
-    a, l, v, length = (Scalar(one) for one in (*ca.vertsplit(x), known[0]))  # noqa: E741
-    law = _contraction(known[1:], curves)
-    fiber = Fiber(l, law.cosine(SymbolicKinematics, l), v * law.fastest)
-    k = SymbolicKinematics
-    along = law.active(k, a, fiber) + law.passive(k, fiber) + law.damping(fiber)
-    lacks = (law.tendon(k, length, l) - along * fiber.cosine) / law.peak
-    return Form(x, known, plain(lacks))
-
-
-def contraction_numbers(law: Contraction) -> list[float]:
-    """Data of `tendon_form` beside the length of the path."""
-    return [law.peak, law.optimal, law.slack, law.fastest, *law.pennation]
-
-
-class Pull(NamedTuple):
-    """How the tension of a muscle follows from its unknown.
-
-    Attributes:
-        law: Beside an elastic tendon, from the length of fibres; None: from the activation.
-        may_slacken: Whether a tension beside a rigid tendon may come out negative.
-    """
-
-    law: Contraction | None
-    may_slacken: bool
-
-
-def force_form(pulls: Sequence[Pull], kept: NDArray[np.bool_]) -> Form:
-    """What muscles and reserves exert on the independent coordinates, less what is needed.
-
-    Unknown are an activation or a length of fibres for each muscle, then efforts of the reserves;
-    data: of each muscle strength and offset beside a rigid tendon, lengths of the paths, entries
-    of the columns, what is needed.
-
-    Args:
-        pulls: Of each muscle.
-        kept: Which entries of the columns are there, shape (nv_y, n + r).
-    """
-    (rows, columns), n = np.nonzero(kept), len(pulls)
-    x, needed = ca.SX.sym("x", kept.shape[1]), ca.SX.sym("t", kept.shape[0])
-    strength, offset, length = (ca.SX.sym(name, n) for name in ("s", "o", "L"))
-    entries = ca.SX.sym("c", len(rows))
-    exerted = ca.SX.zeros(kept.shape[0])
-    forces = [
-        _tension(pull, x[i], strength[i], offset[i], length[i]) for i, pull in enumerate(pulls)
-    ]
-    forces += ca.vertsplit(x[n:]) if kept.shape[1] > n else []
-    for place, (row, column) in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
-        exerted[row] += entries[place] * forces[column]
-    return Form(x, ca.vertcat(strength, offset, length, entries, needed), exerted - needed)
-
-
-def _tension(pull: Pull, x: Any, strength: Any, offset: Any, length: Any) -> Any:
-    if pull.law is not None:
-        return plain(pull.law.tendon(SymbolicKinematics, Scalar(length), Scalar(x)))
-    tension = strength * x + offset
-    return ca.fmax(tension, 0.0) if pull.may_slacken else tension
-
-
-def _contraction(numbers: Any, curves: Any) -> Contraction:
-    peak, optimal, slack, fastest, *geometry = (Scalar(one) for one in ca.vertsplit(numbers))
-    return Contraction(peak, optimal, slack, fastest, Pennation(*geometry), curves)
-
-
-def _defects(scheme: Collocation, x: Any, moved: Any) -> Any:
-    """Rows of x' h = moved at the points, by differences: they have fewest entries."""
-    slopes, sizes = _differences(scheme)
-    from_start = ca.DM(slopes / sizes[:, None]) @ (x[1:] - x[0])
-    return from_start - moved / ca.DM(sizes)
-
-
 def _differences(scheme: Collocation) -> tuple[Array, Array]:
     """Slopes at the points by differences from the start, and the sizes of their rows."""
     slopes: Array = np.linalg.inv(scheme.A)
     return slopes, np.abs(slopes).sum(axis=1)
 
 
-def _power(x: Any, p: float) -> Any:
-    """|x|^p; where it has a kink at 0, a little round there."""
-    if p == 2.0:
-        return x**2
-    return (x**2) ** (0.5 * p) if p > 2.0 else (x**2 + _ROUND**2) ** (0.5 * p) - _ROUND**p
-
-
-# ---- trial blocks -----------------------------------------------------------------------------
-# Blocks of the program of a trial of muscles, on all of its intervals or on some.
-
-
 # Where the unknowns of a trial of muscles stand in its program.
-
-
 class MuscleNumbers(NamedTuple):
     """Numbers of unknowns: those of the start, then point by point in the order below.
 
@@ -232,19 +246,6 @@ class MuscleNumbers(NamedTuple):
         """Of some columns those at the points, shape (degree, intervals * len(some))."""
         found = values[:, some].reshape(-1, self.degree, len(some))
         return found.transpose(1, 0, 2).reshape(self.degree, -1)
-
-
-class Part(NamedTuple):
-    """What of a trial is solved.
-
-    Attributes:
-        solved: Which intervals, shape (intervals,); the others stay as they are.
-        slopes: What the cost of an interval and all after it gains by activations and lengths of
-            fibres at its start, shape (intervals, n + ne).
-    """
-
-    solved: NDArray[np.bool_]
-    slopes: Array
 
 
 class MuscleBlocks:
@@ -369,134 +370,123 @@ class MuscleBlocks:
         return Block("forces", force_form(pulls, kept), places, data, 0.0, 0.0, trial.sizes)
 
 
-# ---- trial program ----------------------------------------------------------------------------
-# Excitations that cost least while muscles exert what a known motion needs.
+def price_form(exponent: float) -> Form:
+    """Of x it gives w |x|^p; data: w."""
+    x, weight = ca.SX.sym("x"), ca.SX.sym("w")
+    return Form(x, weight, ca.SX(0, 1), weight * _power(x, exponent))
 
 
-_FASTEST, _LONGEST = 3.0, 2.0  # bounds of fibres, per largest speed and per optimal length
-_SHORTEST = 0.05  # per optimal length, where fibres may be as short as they like
-_USUAL = 0.05  # excitation: what prices are scaled by
-_ROOM = 0.1  # beyond what excitations bound: two bounds at one place take iterations
-_OPTIONS = {  # rows and unknowns are in usual sizes: scaling and refinement take time alone
-    "mu_init": 0.01,
-    "min_refinement_steps": 0,
-    "mumps_mem_percent": 100,
-    "mumps_scaling": 0,
-    "mumps_permuting_scaling": 0,
-    "mumps_pivot_order": 2,
-}
-_NEAR = {"mu_strategy": "monotone", "mu_init": 1.0e-4, "bound_push": 1.0e-5, "bound_frac": 1.0e-5}
+def _power(x: Any, p: float) -> Any:
+    """|x|^p; where it has a kink at 0, a little round there."""
+    if p == 2.0:
+        return x**2
+    return (x**2) ** (0.5 * p) if p > 2.0 else (x**2 + _ROUNDED**2) ** (0.5 * p) - _ROUNDED**p
 
 
-class MuscleProgram:
-    """The nonlinear program of one trial.
+def slope_form() -> Form:
+    """Of x it gives s x; data: s."""
+    x, slope = ca.SX.sym("x"), ca.SX.sym("s")
+    return Form(x, slope, ca.SX(0, 1), slope * x)
 
-    Args:
-        muscles: At least one.
-        trial: What is known of it at the points.
-        scheme: Whose last point is the end of an interval.
-        exponent: The p.
-        part: Which intervals are solved; None for all.
+
+def contraction_numbers(law: Contraction) -> list[float]:
+    """Data of `tendon_form` beside the length of the path."""
+    return [law.peak, law.optimal, law.slack, law.fastest, *law.pennation]
+
+
+class Pull(NamedTuple):
+    """How the tension of a muscle follows from its unknown.
+
+    Attributes:
+        law: Beside an elastic tendon, from the length of fibres; None: from the activation.
+        may_slacken: Whether a tension beside a rigid tendon may come out negative.
     """
 
-    def __init__(
-        self,
-        muscles: Sequence[Muscle],
-        trial: Trial,
-        scheme: Collocation,
-        exponent: float,
-        part: Part | None = None,
-    ) -> None:
-        self._muscles, self._trial, self._scheme = tuple(muscles), trial, scheme
-        self._elastic = [i for i, muscle in enumerate(muscles) if muscle.is_elastic]
-        self._n, self._ne = len(muscles), len(self._elastic)
-        self._r = trial.columns.shape[2] - self._n
-        self._each = 2 * self._n + self._r + 2 * self._ne  # unknowns at a point
-        self._exponent = exponent
-        self._first = self._n + self._ne  # unknowns at the start
-        self._points = len(trial.length) - 1
-        every = np.ones(len(trial.widths), dtype=bool)
-        self._part = part or Part(every, np.zeros((len(every), self._first)))
-        self._blocks = MuscleBlocks(self._muscles, trial, scheme, exponent, self._part)
+    law: Contraction | None
+    may_slacken: bool
 
-    def solve(self, guess: Excited, accuracy: float, most: int, is_near: bool) -> Optimal:
-        """The optimum.
 
-        Args:
-            guess: From where it is looked for.
-            accuracy: Of the conditions of the optimum.
-            most: Iterations.
-            is_near: Whether the guess is nearly the optimum.
-        """
-        lower, upper = self._bounds()
-        points = np.hstack(guess)[1:]
-        first = guess.activation[0], guess.fiber_length[0]
-        start = np.concatenate((*first, points.ravel()))
-        is_open = np.repeat(self._part.solved, self._scheme.degree * self._each)
-        is_open = np.concatenate((np.full(self._first, self._part.solved[0]), is_open))
-        known = np.where(is_open, np.nan, start)
-        start = np.where(is_open, np.clip(start, lower, upper), start)
-        curvature = self._trial.prices * np.maximum(guess.activation, _USUAL) ** (
-            self._exponent - 2.0
-        )
-        cost_size = float(self._trial.widths.sum() * curvature.mean()) / self._points
-        program = SparseProgram(self._blocks.all(), self._sizes(), known, cost_size)
-        given: dict[str, Any] = {"accuracy": accuracy, "most": most, "is_near": is_near}
-        given["options"] = {**_OPTIONS, **(_NEAR if is_near else {})}
-        return self._optimal(solve(program, start, lower, upper, **given), program)
+def activation_form(dynamics: ActivationDynamics, scheme: Collocation, exponent: float) -> Form:
+    """One activation on one interval, and what its excitation costs.
 
-    def _optimal(self, found: Solved, program: SparseProgram) -> Optimal:
-        n, r, ne = self._n, self._r, self._ne
-        a, lengths = np.split(found.x[: self._first], (n,))
-        points = found.x[self._first :].reshape(-1, self._each)
-        start = np.concatenate((a, a, np.zeros(r), lengths, np.zeros(ne)))
-        parts = np.split(np.vstack((start, points)), np.cumsum([n, n, r, ne]), axis=1)
-        off, forces = np.abs(found.rows / program.row_sizes), program.slices[-1]
-        lacking = np.zeros_like(self._trial.needed[1:])
-        at = np.repeat(self._part.solved, self._scheme.degree)
-        lacking[at] = off[forces].reshape(-1, lacking.shape[1])
-        residual = max(found.violation, found.stationarity)
-        excited, falling = Excited(*parts), np.array([m.dynamics.falling for m in self._muscles])
-        cost = self._trial.cost(excited, self._scheme.b, falling, self._exponent)
-        how = cost, found.iterations, found.is_good, found.status, residual
-        return Optimal(excited, *how, lacking, self._slopes(found, program))
+    Unknown are the activation at the start, activations and excitations at the points; data:
+    width of the interval, numbers of the dynamics, then prices, stiffness and target at points.
+    """
+    kind: Any = type(dynamics)
+    d, count = scheme.degree, len(kind._fields)
+    a, e = ca.SX.sym("a", d + 1), ca.SX.sym("e", d)
+    h, own, known = ca.SX.sym("h"), ca.SX.sym("n", count), ca.SX.sym("k", d, 3)
+    law = kind(*(Scalar(own[i]) for i in range(count)))
+    rates = [plain(law.rate(SymbolicKinematics, Scalar(e[j]), Scalar(a[j + 1]))) for j in range(d)]
+    prices, stiffness, target = ca.horzsplit(known)
+    costs = prices * _power(e, exponent) + stiffness * (a[1:] - target) ** 2
+    rows = _defects(scheme, a, h * ca.vertcat(*rates))
+    cost = h * ca.dot(ca.DM(scheme.b), costs)
+    return Form(ca.vertcat(a, e), ca.vertcat(h, own, ca.vec(known)), rows, cost)
 
-    def _slopes(self, found: Solved, program: SparseProgram) -> Array:
-        """See `Part.slopes`: of intervals that were solved the new ones."""
-        slopes, solved = self._part.slopes.copy(), np.flatnonzero(self._part.solved)
-        of_start = start_slopes(self._scheme)
-        columns = [*self._blocks.kinds, [*range(self._n, self._first)]]
-        named = zip(program.blocks, program.slices, strict=True)
-        moving = [rows for block, rows in named if block.name in ("activations", "fibers")]
-        for rows, some in zip(moving, columns, strict=False):  # no fibres, no rows
-            forces = found.row_forces[rows].reshape(len(solved), len(some), -1)
-            slopes[np.ix_(solved, some)] = forces @ of_start
-        return slopes
 
-    def _sizes(self) -> Array:
-        """Usual sizes: of fibres their optimal length."""
-        lengths = [self._muscles[i].contraction.optimal for i in self._elastic]
-        point = np.ones(self._each)
-        point[2 * self._n + self._r :][: self._ne] = lengths
-        return np.concatenate((np.ones(self._n), lengths, np.tile(point, self._points)))
+def _defects(scheme: Collocation, x: Any, moved: Any) -> Any:
+    """Rows of x' h = moved at the points, by differences: they have fewest entries."""
+    slopes, sizes = _differences(scheme)
+    from_start = ca.DM(slopes / sizes[:, None]) @ (x[1:] - x[0])
+    return from_start - moved / ca.DM(sizes)
 
-    def _bounds(self) -> tuple[Array, Array]:
-        n, ne, trial = self._n, self._ne, self._trial
-        laws = [self._muscles[i].contraction for i in self._elastic]
-        least = np.array([muscle.dynamics.least for muscle in self._muscles], dtype=np.float64)
-        shortest = [max(law.pennation.shortest, _SHORTEST * law.optimal) for law in laws]
-        longest = [_LONGEST * law.optimal for law in laws]
-        fast = np.full(ne, _FASTEST)
-        low, high = (
-            self._tiled((least, trial.limits[0], shortest, -fast)),
-            self._tiled((np.ones(n), trial.limits[1], longest, fast)),
-        )
-        raised = np.where(trial.least > least, trial.least, least - _ROOM)[1:]
-        at_least = np.hstack((raised, low)).ravel()
-        at_most = np.hstack((np.full_like(raised, 1.0 + _ROOM), high)).ravel()
-        lower = np.concatenate((trial.least[0], shortest, at_least))
-        return lower, np.concatenate((np.ones(n), longest, at_most))
 
-    def _tiled(self, parts: Sequence[Any]) -> Array:
-        """One row a point."""
-        return np.tile(np.concatenate(parts), (self._points, 1))
+def fiber_form(scheme: Collocation) -> Form:
+    """One length of fibres on one interval: l' = v fastest; data: width, fastest."""
+    l, v = ca.SX.sym("l", scheme.degree + 1), ca.SX.sym("v", scheme.degree)  # noqa: E741
+    known = ca.SX.sym("k", 2)
+    return Form(ca.vertcat(l, v), known, _defects(scheme, l, known[0] * known[1] * v))
+
+
+def tendon_form(curves: Any) -> Form:
+    """Balance of one tendon with its fibres, per peak force.
+
+    Unknown are activation, length and speed of the fibres; data: the length of the path, then the
+    numbers of `contraction_numbers`.
+    """
+    x, known = ca.SX.sym("x", 3), ca.SX.sym("k", 8)
+    a, l, v, length = (Scalar(one) for one in (*ca.vertsplit(x), known[0]))  # noqa: E741
+    law = _contraction(known[1:], curves)
+    fiber = Fiber(l, law.cosine(SymbolicKinematics, l), v * law.fastest)
+    k = SymbolicKinematics
+    along = law.active(k, a, fiber) + law.passive(k, fiber) + law.damping(fiber)
+    lacks = (law.tendon(k, length, l) - along * fiber.cosine) / law.peak
+    return Form(x, known, plain(lacks))
+
+
+def _contraction(numbers: Any, curves: Any) -> Contraction:
+    peak, optimal, slack, fastest, *geometry = (Scalar(one) for one in ca.vertsplit(numbers))
+    return Contraction(peak, optimal, slack, fastest, Pennation(*geometry), curves)
+
+
+def force_form(pulls: Sequence[Pull], kept: NDArray[np.bool_]) -> Form:
+    """What muscles and reserves exert on the independent coordinates, less what is needed.
+
+    Unknown are an activation or a length of fibres for each muscle, then efforts of the reserves;
+    data: of each muscle strength and offset beside a rigid tendon, lengths of the paths, entries
+    of the columns, what is needed.
+
+    Args:
+        pulls: Of each muscle.
+        kept: Which entries of the columns are there, shape (nv_y, n + r).
+    """
+    (rows, columns), n = np.nonzero(kept), len(pulls)
+    x, needed = ca.SX.sym("x", kept.shape[1]), ca.SX.sym("t", kept.shape[0])
+    strength, offset, length = (ca.SX.sym(name, n) for name in ("s", "o", "L"))
+    entries = ca.SX.sym("c", len(rows))
+    exerted = ca.SX.zeros(kept.shape[0])
+    forces = [
+        _tension(pull, x[i], strength[i], offset[i], length[i]) for i, pull in enumerate(pulls)
+    ]
+    forces += ca.vertsplit(x[n:]) if kept.shape[1] > n else []
+    for place, (row, column) in enumerate(zip(rows.tolist(), columns.tolist(), strict=True)):
+        exerted[row] += entries[place] * forces[column]
+    return Form(x, ca.vertcat(strength, offset, length, entries, needed), exerted - needed)
+
+
+def _tension(pull: Pull, x: Any, strength: Any, offset: Any, length: Any) -> Any:
+    if pull.law is not None:
+        return plain(pull.law.tendon(SymbolicKinematics, Scalar(length), Scalar(x)))
+    tension = strength * x + offset
+    return ca.fmax(tension, 0.0) if pull.may_slacken else tension

@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 import mbd_ros as mbd
 from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.errors import MbdError
-from mbd_ros.features.muscles.muscle_frames import (
+from mbd_ros.features.muscles.muscle_trial import (
     DEFAULTS,
     Excited,
     MuscleDynamics,
