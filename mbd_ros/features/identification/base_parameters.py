@@ -19,7 +19,6 @@ from mbd_ros.core.thresholds import SINGULAR
 
 # In a body: what others give comes last, so that masses join the moments that they add to.
 _ORDER = tuple(map(PLACES.index, ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")))
-_ORDER += tuple(map(PLACES.index, ("mcx", "mcy", "mcz", "mass")))
 _ROUNDED = 1.0e-9  # of the largest factor in a combination: what rounding leaves of none
 
 
@@ -98,11 +97,6 @@ def expressions(base: BaseParameters, bodies: Sequence[str]) -> list[str]:
     return texts
 
 
-def parameter_name(number: int, bodies: Sequence[str]) -> str:
-    """As `shank.Izz`; moments and first moments about the joint."""
-    return f"{bodies[number // COUNT]}.{PLACES[number % COUNT]}"
-
-
 def _term(factor: float, number: int, bodies: Sequence[str]) -> str:
     sign, size = "-" if factor < 0 else "+", abs(factor)
     text = f"{_symbol(PLACES[number % COUNT], bodies[number // COUNT])}"
@@ -125,3 +119,11 @@ def _symbol(place: str, body: str) -> str:
         return f"{body}.{place} - {body}.mass {body}.c{i} {body}.c{j}"
     others = [axis for axis in "xyz" if axis != i]
     return f"{body}.{place} + {body}.mass ({body}.c{others[0]}^2 + {body}.c{others[1]}^2)"
+
+
+def parameter_name(number: int, bodies: Sequence[str]) -> str:
+    """As `shank.Izz`; moments and first moments about the joint."""
+    return f"{bodies[number // COUNT]}.{PLACES[number % COUNT]}"
+
+
+_ORDER += tuple(map(PLACES.index, ("mcx", "mcy", "mcz", "mass")))

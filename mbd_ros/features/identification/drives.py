@@ -1,11 +1,28 @@
 """Drives: gains, motors that turn two joints, torques as they were measured.
 
-The friction of such a motor changes its sign with a sum or a difference of two speeds. Where that
-explains what is left of the torque of a joint better than its own speed does, each way in which
-two motors can drive two joints one behind the other is fitted, for efforts of joints and of
-motors, and the best by Schwarz's information criterion is taken.
+Coupled motors: the friction of a motor that turns two joints changes its sign with a sum or a
+difference of two speeds. Where that explains what is left of the torque of a joint better than its
+own speed does, each way in which two motors can drive two joints one behind the other is fitted,
+for efforts of joints and of motors, and the best by Schwarz's information criterion is taken.
 
-Source: G. Schwarz, Ann. Stat. 6, 1978, 461.
+Gains: efforts i may be in other units than torques, such as motor currents,
+
+    i_j = k_j (X_j b + known_j) + F_j f,    gain_j = 1 / k_j
+
+Bodies b and all k can grow together without a trace in i, unless something is known: a load, a
+link, a spring, a measured wrench. Which gains that fixes is what their deviations say.
+
+Torques as they were measured: the controller of a drive damps what it takes for motion, noise
+included,
+
+    tau = model(q, v, a) - feedback (v_measured - v)
+
+with v the velocity behind the zero-phase low-pass that the motion asks for. That part of the
+torque moves nothing, and no model of bodies has it.
+
+Sources: G. Schwarz, Ann. Stat. 6, 1978, 461 (the criterion). M. Gautier, S. Briot, J. Dyn. Syst.
+Meas. Control 136, 2014, 051025 (drive gains of all joints from a known load). L. Ljung, System
+Identification, 1999, section 13.4 (noise in a closed loop).
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -38,33 +55,19 @@ from mbd_ros.features.identification.samples import Filter, Piece, grid_step
 from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
 
-# ---- coupled motors ---------------------------------------------------------------------------
-# Motors that turn with two joints: as the scene says, or as friction tells.
-
-
 _SIGNS = (1.0, -1.0)
 _SMOOTHINGS = (0.02, 0.05, 0.2)  # of the usual speed
-_WORTH = 2.0  # times the price of a parameter: the least that coupled motors have to gain
-_LESS = 0.98  # of the power that is left: what coupled motors leave at most
-_ROWS = 20_000  # that tell whether a speed is worth a look
-
-
-def coupled_in(scene: Scene, labels: Sequence[str]) -> Motors | None:
-    """Motors as the `gear_friction` of the scene has them; None if each turns with one joint.
-
-    Raises:
-        DataError: They do not determine the torques of the joints.
-    """
-    motors, ratios = Motors.of_joints(len(labels)), np.eye(len(labels))
-    for entry in scene.entries.get("forces") or []:
-        also: Mapping[str, float] = entry.get("also") or {}
-        for name, ratio in also.items():
-            if entry.get("joint") in labels and name in labels:
-                ratios[labels.index(entry["joint"]), labels.index(name)] = ratio
-    if abs(np.linalg.det(ratios)) < 1e-6:
-        raise DataError(f"{scene.name}: forces: `also` couples motors that turn as one")
-    motors = motors._replace(ratios=ratios)
-    return motors if motors.are_coupled else None
+_LEAST_WORTH = 2.0  # times the price of a parameter: the least that coupled motors have to gain
+_LEAST_SHRINK = 0.98  # of the power that is left: what coupled motors leave at most
+_MOST_ROWS = 20_000  # that tell whether a speed is worth a look
+_UNFIXED = 0.1  # relative deviation of a gain that nothing fixes
+_GAIN_STEPS = 200  # of the search for gains, at most
+_GAIN_REACH = 5.0  # of log k: how far from what the description says
+_MOST_COMPARED = 20_000  # samples of a piece that are compared, evenly taken
+_ENOUGH_FOR_FEEDBACK = 10_000  # samples that tell a feedback
+_OUTLIER = 4.5  # times the median size: such samples, as at a start, tell no feedback
+_ROUNDING = 1.0e-9  # of the largest velocity: no noise
+_FEWEST_SAMPLES = 20  # samples that tell one at all
 
 
 def choose_motors(
@@ -119,7 +122,7 @@ class _Choice:
         """The best way, pair by pair of joints one behind the other."""
         best = Motors.of_joints(len(self._problem.rows))
         cheapest = self.cost(best)
-        less = _WORTH * self._price - float(self._effective.mean()) * np.log(_LESS)
+        less = _LEAST_WORTH * self._price - float(self._effective.mean()) * np.log(_LEAST_SHRINK)
         for i in self._suspects(first):
             if not best.alone[[i, i + 1]].all():
                 continue
@@ -178,7 +181,7 @@ def _left_and_speeds(
     blocks, rows = list[Block](), 0
     for block in problem.maker.blocks(piece, problem.band, np.array([delay])):
         blocks, rows = [*blocks, block], rows + len(block.X)
-        if rows >= _ROWS:
+        if rows >= _MOST_ROWS:
             break
     left = np.concatenate([residual(block, first) for block in blocks])
     for i, (own, values) in enumerate(zip(first.taken, first.friction, strict=True)):
@@ -193,9 +196,9 @@ def _left_and_speeds(
         dry = [Column("coulomb", s * usual + 1e-300) for s in _SMOOTHINGS]
         every = [Column("viscous"), Column("offset"), *dry]
         found = columns_of(every, speed, speed, speed)
-        return (found if low is None else low.passed(found))[:_ROWS]
+        return (found if low is None else low.passed(found))[:_MOST_ROWS]
 
-    return left[:_ROWS], v, friction
+    return left[:_MOST_ROWS], v, friction
 
 
 def _power(left: Array, columns: Array) -> float:
@@ -219,29 +222,30 @@ def _lines(problem: Problem, motors: Motors) -> Iterator[str]:
         yield "efforts are those of the motors, not of the joints: the scene says those of joints"
 
 
+def coupled_in(scene: Scene, labels: Sequence[str]) -> Motors | None:
+    """Motors as the `gear_friction` of the scene has them; None if each turns with one joint.
+
+    Raises:
+        DataError: They do not determine the torques of the joints.
+    """
+    motors, ratios = Motors.of_joints(len(labels)), np.eye(len(labels))
+    for entry in scene.entries.get("forces") or []:
+        also: Mapping[str, float] = entry.get("also") or {}
+        for name, ratio in also.items():
+            if entry.get("joint") in labels and name in labels:
+                ratios[labels.index(entry["joint"]), labels.index(name)] = ratio
+    if abs(np.linalg.det(ratios)) < 1e-6:
+        raise DataError(f"{scene.name}: forces: `also` couples motors that turn as one")
+    motors = motors._replace(ratios=ratios)
+    return motors if motors.are_coupled else None
+
+
 def also_of(problem: Problem) -> list[dict[str, Any]]:
     """Of each row the other joints that turn its motor, by name."""
     return [
         {problem.labels[j]: ratio for j, ratio in others.items()}
         for others in problem.motors.others
     ]
-
-
-# ---- gains ------------------------------------------------------------------------------------
-# Gains of drives: torques of efforts that are in other units, such as motor currents.
-#
-#     i_j = k_j (X_j b + known_j) + F_j f,    gain_j = 1 / k_j
-#
-# Bodies b and all k can grow together without a trace in i, unless something is known: a load, a
-# link, a spring, a measured wrench. Which gains that fixes is what their deviations say.
-#
-# Source: M. Gautier, S. Briot, J. Dyn. Syst. Meas. Control 136, 2014, 051025 (drive gains of all
-# joints from a known load).
-
-
-_OPEN = 0.1  # relative deviation of a gain that nothing fixes
-_STEPS = 200
-_REACH = 5.0  # of log k: how far from what the description says
 
 
 def estimate_gains(problem: Problem, allowed: Sequence[str], say: Say) -> None:
@@ -258,7 +262,7 @@ def estimate_gains(problem: Problem, allowed: Sequence[str], say: Say) -> None:
     start[~open_] = 1.0  # their efforts are torques already
     share = 1.0 / (1.0 + 2.0 * float(np.sum(np.square(problem.correlation[1:]))))
     k, deviation = _fitted(parts, problem, start, open_, share)
-    names = [n for n, s in zip(problem.labels, deviation, strict=True) if not s < _OPEN]
+    names = [n for n, s in zip(problem.labels, deviation, strict=True) if not s < _UNFIXED]
     if names:
         raise DataError(
             f"{problem.where}: nothing that is known fixes the gains of {', '.join(names)}: "
@@ -336,8 +340,10 @@ def _fitted(
     x0 = np.concatenate([problem.base.values(problem.given.ravel()), np.zeros(at[-1] - r)])
     size = 1.0 / np.maximum(np.linalg.norm(slopes(x0), axis=0), 1e-12)
     reach = np.full(len(x0), np.inf)
-    reach[r : r + m] = _REACH
-    found = least_squares(off, x0, slopes, bounds=(-reach, reach), x_scale=size, max_nfev=_STEPS)
+    reach[r : r + m] = _GAIN_REACH
+    found = least_squares(
+        off, x0, slopes, bounds=(-reach, reach), x_scale=size, max_nfev=_GAIN_STEPS
+    )
     places = r + np.flatnonzero(is_open)
     s = _deviations(slopes(found.x), places) / np.sqrt(share)
     deviation = np.zeros(m)
@@ -354,26 +360,6 @@ def _deviations(J: Array, places: Array) -> Array:
     every = np.full(J.shape[1], np.inf)
     every[kept] = np.sqrt(np.sum(np.square(V.T / s), axis=1)) / norm[kept]
     return np.asarray(every[places])
-
-
-# ---- measured torques -------------------------------------------------------------------------
-# Torques as they were measured, beside those that scenes say, and what drives add to them.
-#
-# The controller of a drive damps what it takes for motion, noise included:
-#
-#     tau = model(q, v, a) - feedback (v_measured - v)
-#
-# with v the velocity behind the zero-phase low-pass that the motion asks for. That part of the
-# torque moves nothing, and no model of bodies has it.
-#
-# Source: L. Ljung, System Identification, 1999, section 13.4 (noise in a closed loop).
-
-
-_MOST = 20_000  # samples of a piece that are compared, evenly taken
-_ENOUGH = 10_000  # samples that tell a feedback
-_OUTLIER = 4.5  # times the median size: such samples, as at a start, tell no feedback
-_ROUNDING = 1.0e-9  # of the largest velocity: no noise
-_FEWEST = 20  # samples that tell one at all
 
 
 class Measured(NamedTuple):
@@ -396,56 +382,8 @@ def as_measured(
     problem: Problem, scenes: Sequence[Scene], pieces: Sequence[Piece], delay: float
 ) -> Measured | None:
     """All samples of pieces, or evenly some; None without any."""
-    found = [_of_piece(problem, scenes, piece, delay, _MOST) for piece in pieces]
+    found = [_of_piece(problem, scenes, piece, delay, _MOST_COMPARED) for piece in pieces]
     return _joined(found) if found else None
-
-
-def feedback_of(
-    problem: Problem, scene: Scene, pieces: Sequence[Piece], delay: float
-) -> tuple[Array, Array]:
-    """What each row answers to a unit of noise, >= 0, and its standard deviation, shape (m,).
-
-    It counts where it is worth its price by Schwarz's information criterion.
-
-    Args:
-        problem: The rows.
-        scene: What was found.
-        pieces: Those that were learned from.
-        delay: Of efforts against motion [s].
-    """
-    found = _joined([_of_piece(problem, [scene], p, delay, _ENOUGH) for p in pieces])
-    left = found.effort - found.predictions[0]
-    slopes = [
-        _measured_torques_slope(noise, y) for noise, y in zip(found.noise.T, left.T, strict=True)
-    ]
-    return np.array([s for s, _ in slopes]), np.array([d for _, d in slopes])
-
-
-def _measured_torques_slope(noise: Array, left: Array) -> tuple[float, float]:
-    """Of - left over noise, and its deviation; 0 where it is none."""
-    usual = left - np.median(left)
-    kept = np.abs(usual) <= _OUTLIER * np.median(np.abs(usual))
-    x, y, n = noise[kept], usual[kept], int(kept.sum())
-    power = float(x @ x)
-    if n < _FEWEST or power == 0.0:
-        return 0.0, 0.0
-    slope = float(-(x @ y)) / power
-    rest = float(np.sum(np.square(y + slope * x)))
-    is_worth = n * np.log(max(float(y @ y), 1e-300) / max(rest, 1e-300)) > np.log(n)
-    if slope <= 0.0 or not is_worth:
-        return 0.0, 0.0
-    return slope, float(np.sqrt(rest / n / power))
-
-
-def _joined(found: Sequence[Measured]) -> Measured:
-    """Samples of several pieces, one after the other."""
-    count = len(found[0].predictions)
-    return Measured(
-        np.concatenate([one.times for one in found]),
-        np.concatenate([one.effort for one in found]),
-        [np.concatenate([one.predictions[k] for one in found]) for k in range(count)],
-        np.concatenate([one.noise for one in found]),
-    )
 
 
 def _of_piece(
@@ -473,6 +411,65 @@ def _later(times: Array, values: Array, delay: float) -> Array:
     return np.transpose([np.interp(times - delay, times, column) for column in values.T])
 
 
+def _joined(found: Sequence[Measured]) -> Measured:
+    """Samples of several pieces, one after the other."""
+    count = len(found[0].predictions)
+    return Measured(
+        np.concatenate([one.times for one in found]),
+        np.concatenate([one.effort for one in found]),
+        [np.concatenate([one.predictions[k] for one in found]) for k in range(count)],
+        np.concatenate([one.noise for one in found]),
+    )
+
+
+def feedback_of(
+    problem: Problem, scene: Scene, pieces: Sequence[Piece], delay: float
+) -> tuple[Array, Array]:
+    """What each row answers to a unit of noise, >= 0, and its standard deviation, shape (m,).
+
+    It counts where it is worth its price by Schwarz's information criterion.
+
+    Args:
+        problem: The rows.
+        scene: What was found.
+        pieces: Those that were learned from.
+        delay: Of efforts against motion [s].
+    """
+    found = _joined([_of_piece(problem, [scene], p, delay, _ENOUGH_FOR_FEEDBACK) for p in pieces])
+    left = found.effort - found.predictions[0]
+    slopes = [_feedback_slope(noise, y) for noise, y in zip(found.noise.T, left.T, strict=True)]
+    return np.array([s for s, _ in slopes]), np.array([d for _, d in slopes])
+
+
+def _feedback_slope(noise: Array, left: Array) -> tuple[float, float]:
+    """Of - left over noise, and its deviation; 0 where it is none."""
+    usual = left - np.median(left)
+    kept = np.abs(usual) <= _OUTLIER * np.median(np.abs(usual))
+    x, y, n = noise[kept], usual[kept], int(kept.sum())
+    power = float(x @ x)
+    if n < _FEWEST_SAMPLES or power == 0.0:
+        return 0.0, 0.0
+    slope = float(-(x @ y)) / power
+    rest = float(np.sum(np.square(y + slope * x)))
+    is_worth = n * np.log(max(float(y @ y), 1e-300) / max(rest, 1e-300)) > np.log(n)
+    if slope <= 0.0 or not is_worth:
+        return 0.0, 0.0
+    return slope, float(np.sqrt(rest / n / power))
+
+
+def efforts(
+    problem: Problem, piece: Piece, values: Array, grid: NDArray[np.intp], delay: float
+) -> Array:
+    """Efforts of the rows at the times of the motion, 0 of rows without any, shape (n, m)."""
+    found = np.zeros((len(grid), len(problem.rows)))
+    for k, joint in enumerate(problem.joints):
+        if joint >= 0 and delay:
+            found[:, k] = np.interp(piece.times[grid] + delay, piece.times, values[:, joint])
+        elif joint >= 0:
+            found[:, k] = values[grid, joint]
+    return found
+
+
 def torques(
     scene: Scene,
     problem: Problem,
@@ -487,16 +484,3 @@ def torques(
     moved = inertial if carried is None else inertial + carried
     found: Array = (W @ moved + regressor.known(W, *motion, loads))[:, problem.rows]
     return problem.motors.measured(found)
-
-
-def efforts(
-    problem: Problem, piece: Piece, values: Array, grid: NDArray[np.intp], delay: float
-) -> Array:
-    """Efforts of the rows at the times of the motion, 0 of rows without any, shape (n, m)."""
-    found = np.zeros((len(grid), len(problem.rows)))
-    for k, joint in enumerate(problem.joints):
-        if joint >= 0 and delay:
-            found[:, k] = np.interp(piece.times[grid] + delay, piece.times, values[:, joint])
-        elif joint >= 0:
-            found[:, k] = values[grid, joint]
-    return found

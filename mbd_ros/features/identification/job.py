@@ -12,8 +12,9 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.features.identification.drives import choose_motors, coupled_in, estimate_gains
-from mbd_ros.features.identification.least_squares import stacked, triangle_of
+from mbd_ros.features.identification.least_squares import rows_by_worth, triangle_of
 from mbd_ros.features.identification.outcome import (
+    csv,
     description_of,
     outcome,
     scene_text,
@@ -36,43 +37,26 @@ from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 
-# ---- job --------------------------------------------------------------------------------------
-# Identification of inertias and friction from recorded motion: `mbd-ros identify`.
-
-
-# How the joints of a recording move.
-
 _AS_ONE = 1.0e-2  # of the velocities: what is left of them where joints move as one
-
-
-def movement(problem: Problem) -> list[tuple[str, float, str]]:
-    """Of each driven joint: name, how far it moves [rad or m], the body it moves first."""
-    far, mine = np.zeros(len(problem.rows)), problem.maker.coordinates
-    for piece in problem.pieces:
-        step = float(np.median(np.diff(piece.times)))
-        far = np.maximum(far, np.ptp(np.cumsum(piece.v[:, mine], axis=0), axis=0) * step)
-    model, at = problem.scene.robot.model, problem.scene.couplings.v_index
-    first = {int(model.joints[body.joint].idx_v): body.name for body in problem.bodies}
-    names = [first.get(int(at[i]), n) for i, n in zip(mine, problem.labels, strict=True)]
-    every = zip(problem.labels, far.tolist(), names, strict=True)
-    return [one for one, joint in zip(every, problem.joints, strict=True) if joint >= 0]
-
-
-def moves_as_one(problem: Problem) -> bool:
-    """Whether all driven joints move in one phase, each by its own factor."""
-    mine = problem.maker.coordinates[problem.joints >= 0]
-    if len(mine) < 2:
-        return False
-    v = triangle_of(np.concatenate([piece.v for piece in problem.pieces])[:, mine])
-    size = np.linalg.norm(v, axis=0)
-    s = np.linalg.svd(v / np.where(size > 0.0, size, 1.0), compute_uv=False)
-    return bool(s[1] < _AS_ONE * s[0])
-
-
-_LEAST = 1.0e-6  # of the usual torque: deviations that weigh rows beside what bodies can have
-_LONGEST = 10.0  # s: of a delay
-_REACH = 1.0  # periods of the end of the band: delays that are looked for
-_AGAIN = 2  # fits: friction that grows with the load needs the load of the model found before
+LEAST_DEVIATION = 1.0e-6  # of the usual torque: deviations that rows have at least
+_LONGEST_DELAY = 10.0  # s
+_DELAY_REACH = 1.0  # periods of the end of the band: delays that are looked for
+_FITS = 2  # friction that grows with the load needs the load of the model found before
+_STYLE = (
+    "body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem}"
+    "table{border-collapse:collapse;margin:1rem 0;display:block;overflow-x:auto}"
+    "td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}"
+    "td:first-child,th:first-child{text-align:left}img{max-width:100%}"
+)
+_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
+_POINTS = 4000  # a curve: more is not to be seen
+_TITLES = {
+    "validation": "Torques that were not learned from",
+    "base_parameters": "Base parameters",
+    "bodies": "Bodies, all of positive density",
+    "friction": "Friction",
+    "drives": "Drives: torque for a unit of effort, answer to noise of the measured velocity",
+}
 
 
 def identify(
@@ -162,7 +146,7 @@ def _several(sources: Source | Sequence[Source]) -> list[Source]:
 
 
 def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
-    """See `identify`."""
+    """Do the task of `identify`."""
     if not 0.1 <= task.learned <= 1.0:
         raise DataError(f"--learned {task.learned:g}: accepted are 0.1 .. 1")
     _check_numbers(task)
@@ -180,7 +164,7 @@ def run_identify(scene: Scene, task: Task, say: Say) -> Identified:
     if any(
         problem.columns[i][k].term == "load" for i, own in enumerate(found.fit.taken) for k in own
     ):
-        for _ in range(_AGAIN - 1):
+        for _ in range(_FITS - 1):
             problem.carry(fitted.inertial)
             found, fitted = _fitted(problem, allowed, lambda line: None)
     return outcome(scene, problem, found, fitted, say)
@@ -190,8 +174,17 @@ def _check_numbers(task: Task) -> None:
     """Refuse numbers without a meaning."""
     if task.band is not None and not 0.0 < task.band < float("inf"):
         raise DataError(f"--band {task.band:g}: must be finite and > 0")
-    if task.delay is not None and not abs(task.delay) <= _LONGEST:
-        raise DataError(f"--delay {task.delay:g}: accepted are -{_LONGEST:g} .. {_LONGEST:g} s")
+    if task.delay is not None and not abs(task.delay) <= _LONGEST_DELAY:
+        raise DataError(
+            f"--delay {task.delay:g}: accepted are -{_LONGEST_DELAY:g} .. {_LONGEST_DELAY:g} s"
+        )
+
+
+def _search(problem: Problem) -> Search:
+    """Delays that are looked for: none where one is given."""
+    has_motors = problem.band is not None and (problem.joints >= 0).any()
+    is_open = problem.task.delay is None and has_motors
+    return Search(_DELAY_REACH / (problem.band or 1.0) if is_open else 0.0, 0.5 * problem.step)
 
 
 def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned, Consistent]:
@@ -220,47 +213,37 @@ def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned
     return found, _nearest(problem, found)
 
 
-def _search(problem: Problem) -> Search:
-    """Delays that are looked for: none where one is given."""
-    has_motors = problem.band is not None and (problem.joints >= 0).any()
-    is_open = problem.task.delay is None and has_motors
-    return Search(_REACH / (problem.band or 1.0) if is_open else 0.0, 0.5 * problem.step)
-
-
 def _nearest(problem: Problem, found: Learned) -> Consistent:
     """The nearest bodies, rows weighed by what they are worth."""
-    r, fit = len(problem.base.chosen), found.fit
-    worth = np.array([np.sqrt(max(j.effective, 1.0) / max(j.rows, 1)) for j in found.joints])
+    r = len(problem.base.chosen)
     usual = np.array([joint.usual for joint in found.joints])
-    least = np.maximum(_LEAST * usual, 0.1 * _LEAST * usual.max())
-    deviation = np.maximum(fit.deviation, least) / worth
-    A, b = stacked(found.joints, fit.taken, r, deviation)
-    signed = [
-        problem.columns[i][k].term != "offset" for i, own in enumerate(fit.taken) for k in own
-    ]
-    is_signed = np.array(signed, dtype=np.bool_)
+    least = np.maximum(LEAST_DEVIATION * usual, 0.1 * LEAST_DEVIATION * usual.max())
+    A, b, is_signed = rows_by_worth(found.joints, found.fit, r, least)
     return consistent(A, b, problem.base.matrix, problem.given, is_signed)
 
 
-# ---- report -----------------------------------------------------------------------------------
-# Files of an identification: description, scene, tables and a page.
+def movement(problem: Problem) -> list[tuple[str, float, str]]:
+    """Of each driven joint: name, how far it moves [rad or m], the body it moves first."""
+    far, mine = np.zeros(len(problem.rows)), problem.maker.coordinates
+    for piece in problem.pieces:
+        step = float(np.median(np.diff(piece.times)))
+        far = np.maximum(far, np.ptp(np.cumsum(piece.v[:, mine], axis=0), axis=0) * step)
+    model, at = problem.scene.robot.model, problem.scene.couplings.v_index
+    first = {int(model.joints[body.joint].idx_v): body.name for body in problem.bodies}
+    names = [first.get(int(at[i]), n) for i, n in zip(mine, problem.labels, strict=True)]
+    every = zip(problem.labels, far.tolist(), names, strict=True)
+    return [one for one, joint in zip(every, problem.joints, strict=True) if joint >= 0]
 
 
-_STYLE = (
-    "body{font:15px/1.5 system-ui,sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem}"
-    "table{border-collapse:collapse;margin:1rem 0;display:block;overflow-x:auto}"
-    "td,th{padding:.2rem .7rem;border-bottom:1px solid #ccc;text-align:right}"
-    "td:first-child,th:first-child{text-align:left}img{max-width:100%}"
-)
-_POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
-_POINTS = 4000  # a curve: more is not to be seen
-_TITLES = {
-    "validation": "Torques that were not learned from",
-    "base_parameters": "Base parameters",
-    "bodies": "Bodies, all of positive density",
-    "friction": "Friction",
-    "drives": "Drives: torque for a unit of effort, answer to noise of the measured velocity",
-}
+def moves_as_one(problem: Problem) -> bool:
+    """Whether all driven joints move in one phase, each by its own factor."""
+    mine = problem.maker.coordinates[problem.joints >= 0]
+    if len(mine) < 2:
+        return False
+    v = triangle_of(np.concatenate([piece.v for piece in problem.pieces])[:, mine])
+    size = np.linalg.norm(v, axis=0)
+    s = np.linalg.svd(v / np.where(size > 0.0, size, 1.0), compute_uv=False)
+    return bool(s[1] < _AS_ONE * s[0])
 
 
 def identify_to(scene: Scene, task: Task, folder: Path, say: Say) -> None:
@@ -282,10 +265,14 @@ def identify_to(scene: Scene, task: Task, folder: Path, say: Say) -> None:
     files = {
         "identified.urdf": description_of(found.scene).encode(),
         "scene.yaml": scene_text(found.scene, "identified.urdf").encode(),
-        **{f"{name}.csv": _csv(table) for name, table in found.tables.items()},
+        **{f"{name}.csv": csv(table) for name, table in found.tables.items()},
         "report.html": page(found, scene.name).encode(),
     }
     write_files(folder, files, say)
+
+
+def _rows(table: Table) -> Iterator[tuple[Any, ...]]:
+    return zip(*(column.values.tolist() for column in table.columns), strict=True)
 
 
 def page(found: Identified, title: str) -> str:
@@ -302,32 +289,6 @@ def page(found: Identified, title: str) -> str:
             "</body></html>\n",
         ]
     )
-
-
-def _csv(table: Table) -> bytes:
-    """Comma-separated values with a line of names; texts are quoted where they need it."""
-    lines = [",".join(column.name for column in table.columns)]
-    lines += [",".join(_word(x) for x in row) for row in _rows(table)]
-    return ("\n".join(lines) + "\n").encode()
-
-
-def _word(value: Any) -> str:
-    if isinstance(value, str):
-        return f'"{value}"' if "," in value else value
-    return repr(float(value))
-
-
-def _rows(table: Table) -> Iterator[tuple[Any, ...]]:
-    return zip(*(column.values.tolist() for column in table.columns), strict=True)
-
-
-def _table(title: str, table: Table) -> Iterator[str]:
-    yield f"<h2>{escape(title)}</h2><table><tr>"
-    yield "".join(f"<th>{escape(column.label)}</th>" for column in table.columns) + "</tr>"
-    for row in _rows(table):
-        cells = (x if isinstance(x, str) else f"{x:.4g}" for x in row)
-        yield "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
-    yield "</table>"
 
 
 def _pictures(found: Identified) -> Iterator[str]:
@@ -367,3 +328,12 @@ def _curves(panels: Any, name: str, t: Array, values: list[Array]) -> None:
     for panel in panels:
         panel.tick_params(labelsize=7)
         panel.grid(visible=True, alpha=0.3)
+
+
+def _table(title: str, table: Table) -> Iterator[str]:
+    yield f"<h2>{escape(title)}</h2><table><tr>"
+    yield "".join(f"<th>{escape(column.label)}</th>" for column in table.columns) + "</tr>"
+    for row in _rows(table):
+        cells = (x if isinstance(x, str) else f"{x:.4g}" for x in row)
+        yield "<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in cells) + "</tr>"
+    yield "</table>"

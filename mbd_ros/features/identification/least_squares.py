@@ -1,4 +1,11 @@
-"""Base parameters from triangles of rows, weighted by their noise."""
+"""Base parameters and friction from triangles of rows, weighted by their noise.
+
+Many rows are kept as one triangle a joint, so that memory does not grow with them: R of
+[A b] = Q R has all that a least-squares problem of any of its columns needs, and loses half the
+digits that A'A would.
+
+Source: A. Bjorck, Numerical Methods for Least Squares Problems, 1996, section 2.4.
+"""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -10,59 +17,11 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import SINGULAR, TINY
 from mbd_ros.features.identification.regressor import Column, choices
 
-# ---- factors ----------------------------------------------------------------------------------
-# Least-squares problems of many rows, kept as triangles: memory does not grow with the rows.
-#
-# R of [A b] = Q R has all that a least-squares problem of any of its columns needs, and loses half
-# the digits that A'A would.
-#
-# Source: A. Bjorck, Numerical Methods for Least Squares Problems, 1996, section 2.4.
-
-
-def triangle_of(rows: Array) -> Array:
-    """R of rows = Q R, shape (min(n, m), m)."""
-    R: Array = np.asarray(np.linalg.qr(rows, mode="r"))
-    return R
-
-
-class Triangle:
-    """Upper triangle R of rows that come in pieces.
-
-    Args:
-        columns: How many a row has.
-
-    Attributes:
-        R: Shape (k, columns), k at most `columns`.
-        rows: How many rows came.
-    """
-
-    def __init__(self, columns: int) -> None:
-        self.R, self.rows = np.zeros((0, columns)), 0
-        self._pieces: list[Array] = []
-        self._waiting = 0
-
-    def add(self, rows: Array) -> None:
-        """Take rows, shape (n, columns)."""
-        self._pieces.append(rows)
-        self._waiting += len(rows)
-        self.rows += len(rows)
-        if self._waiting > 8 * rows.shape[1]:
-            self.close()
-
-    def close(self) -> "Triangle":
-        """Fold in rows that wait; returns itself."""
-        if self._waiting:
-            self.R = triangle_of(np.concatenate([self.R, *self._pieces]))
-            self._pieces, self._waiting = [], 0
-        return self
-
-
-# ---- least squares ----------------------------------------------------------------------------
-# Base parameters and friction from triangles of rows, one triangle a joint.
-
-
 _FLOOR = 1.0e-11  # of the usual torque: deviations below are rounding
-_SWEEPS = 4
+_SWEEPS = 4  # of weights and of choices of friction, at most
+_HIGHEST_ORDER = 8  # of the process
+_SLOW_POWER = 2.0  # times that of white noise at the lowest frequencies: the model lacks something
+_PER_ORDER = 20  # residuals that a coefficient needs
 
 
 class Joint(NamedTuple):
@@ -122,13 +81,54 @@ def fit(joints: Sequence[Joint], taken: Sequence[tuple[int, ...]], r: int) -> Fi
     return Fit(x[:r], parts, tuple(taken), deviation, condition)
 
 
-def solved(A: Array, b: Array) -> tuple[Array, float]:
-    """Least squares with scaled columns, shortest where columns depend; condition of them."""
-    scale = np.linalg.norm(A, axis=0)
-    scale[scale == 0.0] = 1.0
-    x, _, _, s = np.linalg.lstsq(A / scale, b, rcond=SINGULAR**1.5)
-    condition = float(s[0] / s[-1]) if len(s) and s[-1] > 0.0 else np.inf
-    return (x.T / scale).T, condition
+def stacked(
+    joints: Sequence[Joint], taken: Sequence[tuple[int, ...]], r: int, deviation: Array
+) -> tuple[Array, Array]:
+    """All rows, base parameters first, then the columns taken of each joint; and torques."""
+    n, at, blocks, known = sum(map(len, taken)), r, [], []
+    for joint, own, sigma in zip(joints, taken, deviation, strict=True):
+        block = np.zeros((len(joint.R), r + n))
+        block[:, :r] = joint.R[:, :r]
+        block[:, at : at + len(own)] = joint.R[:, [r + k for k in own]]
+        at += len(own)
+        blocks.append(block / sigma)
+        known.append(joint.R[:, -1] / sigma)
+    return np.concatenate(blocks), np.concatenate(known)
+
+
+def rows_by_worth(
+    joints: Sequence[Joint], fit: Fit, r: int, least: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Rows and torques over their deviations, weighed by what they are worth.
+
+    Args:
+        joints: The joints of a fit.
+        fit: It.
+        r: Number of base parameters.
+        least: Deviations that rows have at least [N·m or N], shape (m,).
+
+    Returns:
+        A, b, and which friction is not negative, shape (f,).
+    """
+    worth = np.array([np.sqrt(max(j.effective, 1.0) / max(j.rows, 1)) for j in joints])
+    A, b = stacked(joints, fit.taken, r, np.maximum(fit.deviation, least) / worth)
+    pairs = zip(joints, fit.taken, strict=True)
+    signed = [joint.columns[k].term != "offset" for joint, own in pairs for k in own]
+    return A, b, np.array(signed, dtype=np.bool_)
+
+
+def _each(x: Array, taken: Sequence[tuple[int, ...]], r: int) -> Iterator[Array]:
+    """Base parameters and friction of each joint."""
+    at = r
+    for own in taken:
+        yield np.concatenate([x[:r], x[at : at + len(own)]])
+        at += len(own)
+
+
+def _left(joint: Joint, own: tuple[int, ...], r: int, y: Array) -> float:
+    """Root mean square of what is left of the torque."""
+    left = joint.R[:, -1] - joint.R[:, [*range(r), *(r + k for k in own)]] @ y
+    return float(np.linalg.norm(left) / np.sqrt(max(joint.rows, 1)))
 
 
 def select(
@@ -162,17 +162,38 @@ def select(
     return taken
 
 
+def _rest(
+    joints: Sequence[Joint], taken: Sequence[tuple[int, ...]], r: int, deviation: Array, but: int
+) -> Array:
+    """Triangle of base parameters and torque of all other joints, their friction eliminated."""
+    pieces, friction = [], []
+    for i, (joint, own) in enumerate(zip(joints, taken, strict=True)):
+        if i == but:
+            continue
+        R = _weight(joint, deviation[i]) * joint.R
+        pieces.append(np.hstack([R[:, :r], R[:, -1:]]))
+        friction.append(R[:, [r + k for k in own]])
+    if not pieces:
+        return np.zeros((0, r + 1))
+    n = sum(f.shape[1] for f in friction)
+    blocks, at = [], 0
+    for piece, f in zip(pieces, friction, strict=True):
+        blocks.append(np.hstack([np.zeros((len(f), n)), piece]))
+        blocks[-1][:, at : at + f.shape[1]] = f
+        at += f.shape[1]
+    rest: Array = triangle_of(np.concatenate(blocks))[n:, n:]
+    return rest
+
+
 def _weight(joint: Joint, deviation: float) -> float:
     """Of rows: neighbours that repeat each other count as less."""
     return float(np.sqrt(joint.effective / max(joint.rows, 1)) / deviation)
 
 
-def usual_choice(joint: Joint, allowed: Sequence[str]) -> tuple[int, ...]:
-    """Viscous and dry friction and an offset, to start from."""
-    found = {c.term: i for i, c in reversed(list(enumerate(joint.columns))) if c.term in allowed}
-    dry = [i for i, c in enumerate(joint.columns) if c.term == "coulomb" and "coulomb" in allowed]
-    middle = dry[len(dry) // 2 : len(dry) // 2 + 1]
-    return (*middle, *(found[t] for t in ("viscous", "offset") if t in found))
+def triangle_of(rows: Array) -> Array:
+    """R of rows = Q R, shape (min(n, m), m)."""
+    R: Array = np.asarray(np.linalg.qr(rows, mode="r"))
+    return R
 
 
 def _cheapest(
@@ -201,80 +222,62 @@ def _cheapest(
     return cheapest
 
 
-def _rest(
-    joints: Sequence[Joint], taken: Sequence[tuple[int, ...]], r: int, deviation: Array, but: int
-) -> Array:
-    """Triangle of base parameters and torque of all other joints, their friction eliminated."""
-    pieces, friction = [], []
-    for i, (joint, own) in enumerate(zip(joints, taken, strict=True)):
-        if i == but:
-            continue
-        R = _weight(joint, deviation[i]) * joint.R
-        pieces.append(np.hstack([R[:, :r], R[:, -1:]]))
-        friction.append(R[:, [r + k for k in own]])
-    if not pieces:
-        return np.zeros((0, r + 1))
-    n = sum(f.shape[1] for f in friction)
-    blocks, at = [], 0
-    for piece, f in zip(pieces, friction, strict=True):
-        blocks.append(np.hstack([np.zeros((len(f), n)), piece]))
-        blocks[-1][:, at : at + f.shape[1]] = f
-        at += f.shape[1]
-    rest: Array = triangle_of(np.concatenate(blocks))[n:, n:]
-    return rest
+def usual_choice(joint: Joint, allowed: Sequence[str]) -> tuple[int, ...]:
+    """Viscous and dry friction and an offset, to start from."""
+    found = {c.term: i for i, c in reversed(list(enumerate(joint.columns))) if c.term in allowed}
+    dry = [i for i, c in enumerate(joint.columns) if c.term == "coulomb" and "coulomb" in allowed]
+    middle = dry[len(dry) // 2 : len(dry) // 2 + 1]
+    return (*middle, *(found[t] for t in ("viscous", "offset") if t in found))
 
 
-def stacked(
-    joints: Sequence[Joint], taken: Sequence[tuple[int, ...]], r: int, deviation: Array
-) -> tuple[Array, Array]:
-    """All rows, base parameters first, then the columns taken of each joint; and torques."""
-    n, at, blocks, known = sum(map(len, taken)), r, [], []
-    for joint, own, sigma in zip(joints, taken, deviation, strict=True):
-        block = np.zeros((len(joint.R), r + n))
-        block[:, :r] = joint.R[:, :r]
-        block[:, at : at + len(own)] = joint.R[:, [r + k for k in own]]
-        at += len(own)
-        blocks.append(block / sigma)
-        known.append(joint.R[:, -1] / sigma)
-    return np.concatenate(blocks), np.concatenate(known)
+def solved(A: Array, b: Array) -> tuple[Array, float]:
+    """Least squares with scaled columns, shortest where columns depend; condition of them."""
+    scale = np.linalg.norm(A, axis=0)
+    scale[scale == 0.0] = 1.0
+    x, _, _, s = np.linalg.lstsq(A / scale, b, rcond=SINGULAR**1.5)
+    condition = float(s[0] / s[-1]) if len(s) and s[-1] > 0.0 else np.inf
+    return (x.T / scale).T, condition
 
 
-def _each(x: Array, taken: Sequence[tuple[int, ...]], r: int) -> Iterator[Array]:
-    """Base parameters and friction of each joint."""
-    at = r
-    for own in taken:
-        yield np.concatenate([x[:r], x[at : at + len(own)]])
-        at += len(own)
+class Triangle:
+    """Upper triangle R of rows that come in pieces.
 
+    Args:
+        columns: How many a row has.
 
-def _left(joint: Joint, own: tuple[int, ...], r: int, y: Array) -> float:
-    """Root mean square of what is left of the torque."""
-    left = joint.R[:, -1] - joint.R[:, [*range(r), *(r + k for k in own)]] @ y
-    return float(np.linalg.norm(left) / np.sqrt(max(joint.rows, 1)))
+    Attributes:
+        R: Shape (k, columns), k at most `columns`.
+        rows: How many rows came.
+    """
 
+    def __init__(self, columns: int) -> None:
+        self.R, self.rows = np.zeros((0, columns)), 0
+        self._pieces: list[Array] = []
+        self._waiting = 0
 
-# ---- noise ------------------------------------------------------------------------------------
-# Residuals that repeat their neighbours: what rows are worth, and how far estimates scatter.
-#
-# White noise is correlated behind a filter, as its taps say. Residuals with more at low
-# frequencies,
-# where the model lacks something, are taken for an autoregressive process. With the correlation C
-# of
-# residuals, estimates by A = sum X' W X have the covariance A^-1 (sum X' W C W X) A^-1.
-#
-# Source: P. J. Brockwell, R. A. Davis, Time Series, 1991, chapter 8 (Yule-Walker); H. White,
-# Econometrica 48, 1980, 817 (covariance of weighted estimates).
+    def add(self, rows: Array) -> None:
+        """Take rows, shape (n, columns)."""
+        self._pieces.append(rows)
+        self._waiting += len(rows)
+        self.rows += len(rows)
+        if self._waiting > 8 * rows.shape[1]:
+            self.close()
 
-
-_ORDER = 8  # of the process, at most
-_MORE = (
-    2.0  # times the power of white noise at the lowest frequencies: a model that lacks something
-)
-_PER_ORDER = 20  # residuals that a coefficient needs
+    def close(self) -> "Triangle":
+        """Fold in rows that wait; returns itself."""
+        if self._waiting:
+            self.R = triangle_of(np.concatenate([self.R, *self._pieces]))
+            self._pieces, self._waiting = [], 0
+        return self
 
 
 class Noise(NamedTuple):
-    """Residuals of a row.
+    """Residuals of a row that repeat their neighbours.
+
+    White noise is correlated behind a filter, as its taps say. Residuals with more at low
+    frequencies, where the model lacks something, are taken for an autoregressive process.
+
+    Source: P. J. Brockwell, R. A. Davis, Time Series, 1991, chapter 8 (Yule-Walker).
 
     Attributes:
         correlation: Of residuals so many rows apart, 1 first, shape (k,); empty for a process.
@@ -302,13 +305,13 @@ def noise_of(left: Array, correlation: Array) -> Noise:
     process = _process(left)
     slow = process.innovation / (1.0 - float(process.coefficients.sum()))
     level = power * max(float(1.0 + 2.0 * correlation[1:].sum()), 0.0)
-    return process if slow**2 > _MORE * level else white
+    return process if slow**2 > _SLOW_POWER * level else white
 
 
 def _process(left: Array) -> Noise:
     """Autoregressive process, its order by Akaike's criterion."""
     n, none = len(left), np.zeros(0)
-    most = min(_ORDER, n // _PER_ORDER)
+    most = min(_HIGHEST_ORDER, n // _PER_ORDER)
     power = float(left @ left) / max(n, 1)
     if most == 0 or power == 0.0:
         return Noise(none, none, float(np.sqrt(power)), 1.0)
@@ -348,20 +351,13 @@ def coloured(values: Array, coefficients: Array) -> Array:
     return found
 
 
-def _spread(rows: Array, noise: Noise) -> Array:
-    """X' C X of rows X that follow each other, without the power of the noise."""
-    if not len(noise.correlation):
-        turned = coloured(rows[::-1], noise.coefficients)
-        return np.asarray(turned.T @ turned)
-    found = rows.T @ rows
-    for k, rho in enumerate(noise.correlation[1 : len(rows)], 1):
-        across = rho * rows[:-k].T @ rows[k:]
-        found += across + across.T
-    return np.asarray(found)
-
-
 class Spread:
     """Covariance of estimates from weighted rows that come in blocks.
+
+    With the correlation C of residuals, estimates by A = sum X' W X have the covariance
+    A^-1 (sum X' W C W X) A^-1.
+
+    Source: H. White, Econometrica 48, 1980, 817 (covariance of weighted estimates).
 
     Args:
         noise: Of the residuals of each row.
@@ -401,3 +397,15 @@ class Spread:
         worth = sum(self._worth)
         covariance: Array = inverse @ S @ inverse * (worth / max(worth - r - n, 1.0))
         return covariance
+
+
+def _spread(rows: Array, noise: Noise) -> Array:
+    """X' C X of rows X that follow each other, without the power of the noise."""
+    if not len(noise.correlation):
+        turned = coloured(rows[::-1], noise.coefficients)
+        return np.asarray(turned.T @ turned)
+    found = rows.T @ rows
+    for k, rho in enumerate(noise.correlation[1 : len(rows)], 1):
+        across = rho * rows[:-k].T @ rows[k:]
+        found += across + across.T
+    return np.asarray(found)

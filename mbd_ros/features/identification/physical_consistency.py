@@ -29,15 +29,11 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, SolveError, install_hint
 
-# ---- physical consistency ---------------------------------------------------------------------
-# Inertial numbers that bodies can have, near those given and as the data ask.
-
-
-_LEAST = 1.0e-3  # of the given pseudo-inertia: what is left of a body
+_LEAST_BODY = 1.0e-3  # of the given pseudo-inertia: what is left of a body
 _LIGHT = 1.0e-2  # of the usual body: what one without mass counts as beside others
-_BLUNT = (1.0, 0.1, 0.01, 1.0e-3, 1.0e-4)  # factors of the weight of the data
-_MISSED = 1.0e-5  # of the sizes at hand: by how much a solver may miss the cones
-_FREE = 1.0e-9  # of the weight of bodies: friction is as the data say
+_BLUNTER = (1.0, 0.1, 0.01, 1.0e-3, 1.0e-4)  # factors of the weight of the data
+_CONE_SLACK = 1.0e-5  # of the sizes at hand: by how much a solver may miss the cones
+_FRICTION_WEIGHT = 1.0e-9  # of the weight of bodies: friction is as the data say
 _SIDE = 4  # of P
 _UPPER = [(i, j) for j in range(_SIDE) for i in range(j + 1)]
 
@@ -59,7 +55,7 @@ class Consistent(NamedTuple):
 def consistent(
     A: Array, b: Array, T: Array, given: Array, is_signed: NDArray[np.bool_]
 ) -> Consistent:
-    """Solve the problem above.
+    """The optimum of the problem of this module.
 
     Args:
         A: Weighted rows, base parameters first, then friction; shape (k, r + f).
@@ -82,7 +78,7 @@ def consistent(
     scale[scale == 0.0] = 1.0
     whole[:, COUNT * bodies :] /= scale
     one = np.tile(_svec(np.eye(_SIDE)), bodies)
-    prior = np.full(whole.shape[1], _FREE)
+    prior = np.full(whole.shape[1], _FRICTION_WEIGHT)
     prior[: len(one)] = 1.0
     known = np.concatenate([one, np.zeros(len(prior) - len(one))])
     signed = len(one) + np.flatnonzero(is_signed)
@@ -93,11 +89,48 @@ def consistent(
     return Consistent(inertial, x[len(one) :] / scale, away)
 
 
-def prior_deviation(T: Array, given: Array) -> Array:
-    """Standard deviation of base parameters before any data, all of a body wide, shape (r,)."""
-    own = [T[:, COUNT * i : COUNT * (i + 1)] @ M for i, M in enumerate(_maps(given))]
-    deviation: Array = np.sqrt(np.sum([np.square(one).sum(axis=1) for one in own], axis=0))
-    return deviation
+def _maps(given: Array) -> list[Array]:
+    """Of every body the matrix that makes inertial numbers of svec(Z), shape (10, 10)."""
+    every = np.array([pseudo_inertia(numbers) for numbers in given])
+    heavy = [P for P in every if np.linalg.eigvalsh(P)[0] > 0.0]
+    usual = _bare(np.mean(heavy, axis=0)) if heavy else np.diag([0.01, 0.01, 0.01, 1.0])
+    light = _LIGHT if heavy else 1.0  # nothing is known of a description without any mass
+    units = [pseudo_inertia(unit) for unit in np.eye(COUNT)]
+    of_numbers = np.array([_svec(unit) for unit in units]).T
+    maps = []
+    for P in every:
+        size = np.sqrt(np.diag(usual))
+        least = np.linalg.eigvalsh(P / np.outer(size, size))[0]
+        L = np.linalg.cholesky(P if least > _LIGHT**3 else _lifted(P, light * usual))
+        of_z = np.array([_svec(L @ _matrix(unit) @ L.T) for unit in np.eye(COUNT)]).T
+        maps.append(np.linalg.solve(of_numbers, of_z))
+    return maps
+
+
+def _bare(P: Array) -> Array:
+    """Without the product of mass and centre: about the mass centre of all."""
+    return np.diag(np.diag(P))
+
+
+def _svec(S: Array) -> Array:
+    """Upper triangle by columns, those off the diagonal by sqrt 2, shape (10,)."""
+    return np.array([S[i, j] * (1.0 if i == j else np.sqrt(2.0)) for i, j in _UPPER])
+
+
+def _lifted(P: Array, light: Array) -> Array:
+    """A pseudo-inertia that is none, or nearly, made one by a light body around it."""
+    values, vectors = np.linalg.eigh(P)
+    kept = vectors @ np.diag(np.maximum(values, 0.0)) @ vectors.T
+    lifted: Array = kept + light
+    return lifted
+
+
+def _matrix(s: Array) -> Array:
+    """Inverse of `_svec`."""
+    S = np.zeros((_SIDE, _SIDE))
+    for value, (i, j) in zip(s, _UPPER, strict=True):
+        S[i, j] = S[j, i] = value / (1.0 if i == j else np.sqrt(2.0))
+    return S
 
 
 def _within_reach(
@@ -116,12 +149,12 @@ def _within_reach(
         SolveError: However blunt they are, there is no optimum.
     """
     bodies = int((known == 1.0).sum()) // _SIDE
-    for blunt in _BLUNT:
+    for blunt in _BLUNTER:
         rows, wanted = np.concatenate([blunt * A, prior]), np.concatenate([blunt * b, known])
         try:
             return _solve(rows, wanted, bodies, signed)
         except SolveError:
-            if blunt == _BLUNT[-1]:
+            if blunt == _BLUNTER[-1]:
                 raise
     raise SolveError("no consistent inertias")
 
@@ -141,9 +174,9 @@ def _solve(A: Array, b: Array, bodies: int, signed: NDArray[np.intp]) -> Array:
     Q, R = np.linalg.qr(A)
     x0 = np.linalg.solve(R, Q.T @ b)
     m = COUNT * bodies
-    least = _LEAST * np.tile(_svec(np.eye(_SIDE)), bodies)
+    least = _LEAST_BODY * np.tile(_svec(np.eye(_SIDE)), bodies)
     sides = [np.linalg.eigvalsh(_matrix(z))[0] for z in x0[:m].reshape(bodies, COUNT)]
-    if min(sides, default=1.0) >= _LEAST and (x0[signed] >= 0.0).all():
+    if min(sides, default=1.0) >= _LEAST_BODY and (x0[signed] >= 0.0).all():
         return np.asarray(x0)
     back = np.linalg.solve(R, np.eye(len(x0)))
     rows = -np.concatenate([back[:m], back[signed]])
@@ -152,12 +185,6 @@ def _solve(A: Array, b: Array, bodies: int, signed: NDArray[np.intp]) -> Array:
     x[:m] = np.concatenate([_inside(z) for z in x[:m].reshape(bodies, COUNT)])
     x[signed] = np.maximum(x[signed], 0.0)
     return x
-
-
-def _inside(z: Array) -> Array:
-    """The nearest numbers of a body, which an interior-point method misses by little."""
-    values, vectors = np.linalg.eigh(_matrix(z))
-    return _svec(vectors @ np.diag(np.maximum(values, _LEAST)) @ vectors.T)
 
 
 def _shortest(rows: Array, bound: Array, bodies: int, signed: int) -> Array:
@@ -192,57 +219,22 @@ def _shortest(rows: Array, bound: Array, bodies: int, signed: int) -> Array:
     left = bound - rows @ u
     sides = [np.linalg.eigvalsh(_matrix(z))[0] for z in left[: COUNT * bodies].reshape(-1, COUNT)]
     worst = min([*sides, *left[COUNT * bodies :]], default=0.0)
-    if not (np.isfinite(u).all() and worst > -_MISSED * size):
+    if not (np.isfinite(u).all() and worst > -_CONE_SLACK * size):
         raise SolveError(f"no consistent inertias: the solver ends with {found.status}")
     return u
 
 
-def _maps(given: Array) -> list[Array]:
-    """Of every body the matrix that makes inertial numbers of svec(Z), shape (10, 10)."""
-    every = np.array([pseudo_inertia(numbers) for numbers in given])
-    heavy = [P for P in every if np.linalg.eigvalsh(P)[0] > 0.0]
-    usual = _bare(np.mean(heavy, axis=0)) if heavy else np.diag([0.01, 0.01, 0.01, 1.0])
-    light = _LIGHT if heavy else 1.0  # nothing is known of a description without any mass
-    units = [pseudo_inertia(unit) for unit in np.eye(COUNT)]
-    of_numbers = np.array([_svec(unit) for unit in units]).T
-    maps = []
-    for P in every:
-        size = np.sqrt(np.diag(usual))
-        least = np.linalg.eigvalsh(P / np.outer(size, size))[0]
-        L = np.linalg.cholesky(P if least > _LIGHT**3 else _lifted(P, light * usual))
-        of_z = np.array([_svec(L @ _matrix(unit) @ L.T) for unit in np.eye(COUNT)]).T
-        maps.append(np.linalg.solve(of_numbers, of_z))
-    return maps
+def _inside(z: Array) -> Array:
+    """The nearest numbers of a body, which an interior-point method misses by little."""
+    values, vectors = np.linalg.eigh(_matrix(z))
+    return _svec(vectors @ np.diag(np.maximum(values, _LEAST_BODY)) @ vectors.T)
 
 
-def _bare(P: Array) -> Array:
-    """Without the product of mass and centre: about the mass centre of all."""
-    return np.diag(np.diag(P))
-
-
-def _lifted(P: Array, light: Array) -> Array:
-    """A pseudo-inertia that is none, or nearly, made one by a light body around it."""
-    values, vectors = np.linalg.eigh(P)
-    kept = vectors @ np.diag(np.maximum(values, 0.0)) @ vectors.T
-    lifted: Array = kept + light
-    return lifted
-
-
-def _svec(S: Array) -> Array:
-    """Upper triangle by columns, those off the diagonal by sqrt 2, shape (10,)."""
-    return np.array([S[i, j] * (1.0 if i == j else np.sqrt(2.0)) for i, j in _UPPER])
-
-
-def _matrix(s: Array) -> Array:
-    """Inverse of `_svec`."""
-    S = np.zeros((_SIDE, _SIDE))
-    for value, (i, j) in zip(s, _UPPER, strict=True):
-        S[i, j] = S[j, i] = value / (1.0 if i == j else np.sqrt(2.0))
-    return S
-
-
-# ---- bodies -----------------------------------------------------------------------------------
-# Inertial numbers of bodies as inertias of links.
+def prior_deviation(T: Array, given: Array) -> Array:
+    """Standard deviation of base parameters before any data, all of a body wide, shape (r,)."""
+    own = [T[:, COUNT * i : COUNT * (i + 1)] @ M for i, M in enumerate(_maps(given))]
+    deviation: Array = np.sqrt(np.sum([np.square(one).sum(axis=1) for one in own], axis=0))
+    return deviation
 
 
 def inertias_of_links(
@@ -276,6 +268,11 @@ def inertias_of_links(
     return found, said
 
 
+def _placement(robot: Robot, link: str) -> Any:
+    """Pose of a link in the axes of its joint."""
+    return robot.model.frames[robot.frame(link)].placement
+
+
 def known_numbers(bodies: Sequence[Body], given: Array, known: Sequence[str]) -> Array:
     """Inertial numbers of bodies with links that are known, 0 of others, shape (10 bodies,).
 
@@ -290,8 +287,3 @@ def known_numbers(bodies: Sequence[Body], given: Array, known: Sequence[str]) ->
             raise DataError(f"--known {name}: no link that moves; there are {names}")
         found[at[0]] = given[at[0]]
     return found.ravel()
-
-
-def _placement(robot: Robot, link: str) -> Any:
-    """Pose of a link in the axes of its joint."""
-    return robot.model.frames[robot.frame(link)].placement

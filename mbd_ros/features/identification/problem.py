@@ -52,23 +52,42 @@ from mbd_ros.jobs.progress import Say
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.scene.built_scene import Scene
 
-# ---- motors -----------------------------------------------------------------------------------
-# Motors that turn with several joints, as those of a wrist behind bevel gears.
-#
-#     w = U v,    tau = U' tau_m
-#
-# with v and tau of joints, w and tau_m of motors, reduced to the joints that bear their names: U
-# has
-# ones on its diagonal. Friction is a function of w, so that rows of motors, U^-T times those of
-# the
-# joints, have a friction of their own each.
-#
-# Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, section 9.7
-# (coupled transmissions).
+_STILL = 0.01  # of the largest velocity of a joint: below, it rests
+_MOVING_SHARE = 0.5  # of a window of the filter: the least that is kept
+_CHUNK = 4000  # samples of the grid that are asked for at once
+_STATES = 1000  # random ones that tell which base parameters there are
+_MOST_KEPT = 3.0e7  # numbers in blocks that are kept; more are made again when asked for
+
+
+class Block(NamedTuple):
+    """Filtered rows that follow each other.
+
+    Attributes:
+        X: Columns of the base parameters, shape (n, m, r).
+        F: Candidates of friction of each row, shape (n, k) each.
+        Y: Torques with a delay each, shape (n, m, delays).
+        kept: Which of the n x m rows count, shape (n, m).
+        known: What is known of the torques and taken out of them, shape (n, m).
+    """
+
+    X: Array
+    F: list[Array]
+    Y: Array
+    kept: NDArray[np.bool_]
+    known: Array
 
 
 class Motors(NamedTuple):
-    """Motors of the rows of an identification.
+    """Motors that turn with several joints, as those of a wrist behind bevel gears.
+
+        w = U v,    tau = U' tau_m
+
+    with v and tau of joints, w and tau_m of motors, reduced to the joints that bear their names: U
+    has ones on its diagonal. Friction is a function of w, so that rows of motors, U^-T times those
+    of the joints, have a friction of their own each.
+
+    Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, section 9.7
+    (coupled transmissions).
 
     Attributes:
         ratios: U, shape (m, m).
@@ -124,262 +143,6 @@ class Motors(NamedTuple):
         return torque if self.are_measured else torque @ self.ratios
 
 
-# ---- rows -------------------------------------------------------------------------------------
-# Filtered rows of recordings: base parameters, candidates of friction, torques.
-
-
-_STILL = 0.01  # of the largest velocity of a joint: below, it rests
-_MOVING = 0.5  # of a window of the filter, the least that is kept
-_CHUNK = 4000  # samples of the grid that are asked for at once
-
-
-class Block(NamedTuple):
-    """Filtered rows that follow each other.
-
-    Attributes:
-        X: Columns of the base parameters, shape (n, m, r).
-        F: Candidates of friction of each row, shape (n, k) each.
-        Y: Torques with a delay each, shape (n, m, delays).
-        kept: Which of the n x m rows count, shape (n, m).
-        known: What is known of the torques and taken out of them, shape (n, m).
-    """
-
-    X: Array
-    F: list[Array]
-    Y: Array
-    kept: NDArray[np.bool_]
-    known: Array
-
-
-class RowMaker:
-    """Makes rows of pieces.
-
-    Args:
-        regressor: Of the scene.
-        base: Its base parameters.
-        rows: Rows of the regressor that are used, shape (m,).
-        columns: Candidates of friction of each of them; none of a row without a joint.
-        joints: Place of each of these rows among the independent joints, -1 of no effort.
-        peak: Largest speed of the motor of each, shape (m,).
-        motors: Of these rows.
-    """
-
-    def __init__(
-        self,
-        regressor: Regressor | LoopRegressor,
-        base: BaseParameters,
-        rows: NDArray[np.intp],
-        columns: Sequence[tuple[Column, ...]],
-        joints: NDArray[np.intp],
-        peak: Array,
-        motors: Motors,
-    ) -> None:
-        self.regressor, self.base, self.rows = regressor, base, rows
-        self.coordinates = regressor.coordinates[rows]
-        self.columns, self.joints, self.peak = columns, joints, peak
-        self.motors = motors
-        self.carried: Array | None = None  # inertial numbers that are known, of all bodies
-
-    def blocks(self, piece: Piece, band: float | None, delays: Array) -> Iterator[Block]:
-        """Rows of a piece through the filter of its band; without a band all its samples."""
-        rate = 1.0 / float(np.median(np.diff(piece.times)))
-        step = 1 if band is None else grid_step(rate, band)
-        grid = np.arange(0, len(piece.times), step)
-        low = None if band is None else Filter.of(rate / step, band)
-        if low is None:
-            chunks = [grid[i : i + _CHUNK] for i in range(0, len(grid), _CHUNK)]
-        else:
-            chunks = _overlapping(grid, low)
-        for chunk in chunks:
-            X, F, Y, moves, known = self._plain(piece, chunk, delays)
-            if low is None:
-                yield Block(X, F, Y, moves, known)
-                continue
-            passed = low.passed(moves.astype(np.float64))
-            X, F, Y = low.passed(X), [low.passed(f) for f in F], low.passed(Y)
-            yield Block(X, F, Y, passed >= _MOVING, low.passed(known))
-
-    def _plain(
-        self, piece: Piece, at: NDArray[np.intp], delays: Array
-    ) -> tuple[Array, list[Array], Array, NDArray[np.bool_], Array]:
-        """Rows of samples before the filter, and which joints move."""
-        y, v, a = piece.y[at], piece.v[at], piece.a[at]
-        W = self.regressor.rows(y, v, a)
-        known = self.regressor.known(W, y, v, a, [load[at] for load in piece.loads])[:, self.rows]
-        for carried in (self.carried, piece.carried):
-            if carried is not None:
-                known = known + W[:, self.rows] @ carried
-        X = np.ascontiguousarray(W[:, self.rows][:, :, self.base.chosen])
-        effort = np.zeros((len(at), len(self.rows), len(delays)))
-        for i, joint in enumerate(self.joints):
-            if joint >= 0:
-                for k, delay in enumerate(delays):
-                    late = piece.times[at] + delay
-                    effort[:, i, k] = np.interp(late, piece.times, piece.effort[:, joint])
-        weight = self.regressor.weight(y)[:, self.rows]
-        v, a = v[:, self.coordinates], a[:, self.coordinates]
-        if self.motors.are_coupled:
-            X, known, weight, effort, v, a = self._of_motors(X, known, weight, effort, v, a)
-        each = zip(self.columns, v.T, a.T, weight.T, strict=True)
-        F = [columns_of(own, rate, push, load) for own, rate, push, load in each]
-        moves = np.abs(v) > _STILL * self.peak
-        moves[:, self.peak == 0.0] = True
-        moves[:, self.joints < 0] = True
-        Y = effort - known[:, :, None]
-        return X, F, Y, moves, known
-
-    def _of_motors(
-        self, X: Array, known: Array, weight: Array, effort: Array, v: Array, a: Array
-    ) -> tuple[Array, Array, Array, Array, Array, Array]:
-        """All of them for motors in place of joints."""
-        motors = self.motors
-        turned = np.swapaxes(motors.torques(np.swapaxes(X, 1, 2)), 1, 2)
-        told = np.swapaxes(motors.from_measured(np.swapaxes(effort, 1, 2)), 1, 2)
-        known, weight = motors.torques(known), motors.torques(weight)
-        return turned, known, weight, told, motors.speeds(v), motors.speeds(a)
-
-
-def _overlapping(grid: NDArray[np.intp], low: Filter) -> Iterator[NDArray[np.intp]]:
-    """Chunks of a grid whose windows together are those of all of it."""
-    starts = low.starts(len(grid))
-    count = max(_CHUNK // low.step, 1)
-    for first in range(0, len(starts), count):
-        some = starts[first : first + count]
-        yield grid[some[0] : some[-1] + len(low.taps)]
-
-
-# ---- problem ----------------------------------------------------------------------------------
-# The rows of an identification: which there are, and what is known of them.
-
-
-# Joints that no motor drives.
-
-
-def passive_joints(
-    scene: Scene, named: Sequence[str], recorded: Sequence[Recorded], say: Say
-) -> tuple[str, ...]:
-    """Joints whose effort is 0: those named, else those by which the first body is placed.
-
-    Without any effort, a chain of joints from the world to the first link with mass is what
-    measured a body that moves freely, such as the pelvis in a model of a person.
-
-    Args:
-        scene: The scene.
-        named: Joints that the user names.
-        recorded: The recordings.
-        say: Is told which they are.
-
-    Raises:
-        DataError: Unknown joints.
-    """
-    joints = scene.couplings.independent
-    unknown = [name for name in named if name not in joints]
-    if unknown:
-        raise DataError(f"--passive {unknown[0]}: no such joint; there are {', '.join(joints)}")
-    if named:
-        return tuple(named)
-    has_effort = any(one.motion.effort is not None for one in recorded)
-    if has_effort or not scene.wrenches or scene.robot.floating:
-        return ()
-    model, chain, at = scene.robot.model, list[str](), 0
-    while True:
-        below = [j for j in range(1, model.njoints) if int(model.parents[j]) == at]
-        if len(below) != 1:
-            break
-        at = below[0]
-        names = [j.name for j in scene.robot.joints if model.getJointId(j.urdf_name) == at]
-        chain += [name for name in names if name in joints]
-        if model.inertias[at].mass > 0.0:
-            break
-    if len(chain) > 1:
-        say(
-            f"no efforts: {', '.join(chain)} place a body that nothing drives, its balance is used"
-        )
-        return tuple(chain)
-    return ()
-
-
-def driven_joints(scene: Scene, recorded: Sequence[Recorded]) -> list[str]:
-    """Independent joints with an effort that is not 0 throughout.
-
-    Raises:
-        DataError: There is none.
-    """
-    names, found = scene.couplings.independent, []
-    for i, name in enumerate(names):
-        efforts = [one.motion.effort for one in recorded]
-        known = [effort[:, i] for effort in efforts if effort is not None]
-        if known and all(np.isfinite(e).mean() > 0.99 and e.any() for e in known):
-            found.append(name)
-    if not found:
-        where = ", ".join(one.where for one in recorded)
-        raise DataError(f"{where}: no effort of any of {', '.join(names)}")
-    return found
-
-
-# Recordings of a task: with what is held in some of them, and in units of torque.
-
-
-def recordings(scene: Scene, task: Task, say: Say) -> Iterator[Recorded]:
-    """All recordings, those with a known load last.
-
-    Raises:
-        DataError: There is none, or the load or a wrench is missing.
-    """
-    sources = (*task.motions, *task.held)
-    if task.wrenches and len(task.wrenches) != len(sources):
-        raise DataError(
-            f"--wrenches: {len(task.wrenches)} for {len(sources)} motions; give one for each"
-        )
-    if not sources:
-        raise DataError("no motion to identify from")
-    if bool(task.held) != (task.payload is not None):
-        raise DataError("--held and --payload: give the recording and what it holds")
-    carried = None if task.payload is None else _carried(scene, *task.payload)
-    for i, (source, load) in enumerate(zip_longest(sources, task.wrenches)):
-        options = {"topic": task.topic, "derivatives": task.derivatives, "say": say}
-        found = read(scene, source, wrenches=load, **options)  # type: ignore[arg-type]
-        yield found if i < len(task.motions) else found._replace(carried=carried)
-
-
-def _carried(scene: Scene, frame: str, numbers: Sequence[float]) -> Array:
-    """Inertial numbers of all bodies of what is fixed to a link, shape (10 bodies,)."""
-    model = scene.robot.model
-    try:
-        link = model.frames[scene.robot.frame(frame)]
-    except ModelError as error:
-        raise DataError(f"--payload {frame}: {error}") from error
-    joint = int(link.parentJoint)
-    if joint == 0:
-        raise DataError(f"--payload {frame}: this link does not move")
-    mass, x, y, z, *moments = numbers
-    load = pin.Inertia(mass, np.array([x, y, z]), np.diag(moments or [0.0, 0.0, 0.0]))
-    own = load.toDynamicParameters()
-    found = np.zeros(COUNT * (model.njoints - 1))
-    found[COUNT * (joint - 1) : COUNT * joint] = moved_numbers(link.placement) @ own
-    return found
-
-
-def gained(
-    found: Iterable[Piece], names: Sequence[str], gains: Mapping[str, float]
-) -> Iterator[Piece]:
-    """Pieces with the torques of efforts in other units.
-
-    Raises:
-        DataError: A gain of no joint.
-    """
-    unknown = [name for name in gains if name not in names]
-    if unknown:
-        raise DataError(f"--gain {unknown[0]}: no such joint; there are {', '.join(names)}")
-    factors = np.array([gains.get(name, 1.0) for name in names])
-    for piece in found:
-        yield piece._replace(effort=factors * piece.effort, measured=factors * piece.measured)
-
-
-_STATES = 1000  # random ones that tell which base parameters there are
-_KEPT = 3.0e7  # numbers in blocks that are kept; more are made again when asked for
-
-
 class Problem:
     """Rows of a scene and its recordings.
 
@@ -389,8 +152,6 @@ class Problem:
         say: Is told what is left out.
 
     Attributes:
-        scene: The scene.
-        task: The task.
         where: Names of the recordings.
         learned: What is learned from.
         left: What is left for the test.
@@ -452,7 +213,10 @@ class Problem:
                 yield block
                 if kept is not None:
                     kept.append(block)
-                    if sum(b.X.size + b.Y.size + sum(f.size for f in b.F) for b in kept) > _KEPT:
+                    if (
+                        sum(b.X.size + b.Y.size + sum(f.size for f in b.F) for b in kept)
+                        > _MOST_KEPT
+                    ):
                         kept = None
         if kept == []:
             raise DataError(
@@ -576,6 +340,106 @@ class Problem:
             yield from gained(found, self.scene.couplings.independent, self.gains)
 
 
+def recordings(scene: Scene, task: Task, say: Say) -> Iterator[Recorded]:
+    """All recordings, those with a known load last.
+
+    Raises:
+        DataError: There is none, or the load or a wrench is missing.
+    """
+    sources = (*task.motions, *task.held)
+    if task.wrenches and len(task.wrenches) != len(sources):
+        raise DataError(
+            f"--wrenches: {len(task.wrenches)} for {len(sources)} motions; give one for each"
+        )
+    if not sources:
+        raise DataError("no motion to identify from")
+    if bool(task.held) != (task.payload is not None):
+        raise DataError("--held and --payload: give the recording and what it holds")
+    carried = None if task.payload is None else _carried(scene, *task.payload)
+    for i, (source, load) in enumerate(zip_longest(sources, task.wrenches)):
+        options = {"topic": task.topic, "derivatives": task.derivatives, "say": say}
+        found = read(scene, source, wrenches=load, **options)  # type: ignore[arg-type]
+        yield found if i < len(task.motions) else found._replace(carried=carried)
+
+
+def _carried(scene: Scene, frame: str, numbers: Sequence[float]) -> Array:
+    """Inertial numbers of all bodies of what is fixed to a link, shape (10 bodies,)."""
+    model = scene.robot.model
+    try:
+        link = model.frames[scene.robot.frame(frame)]
+    except ModelError as error:
+        raise DataError(f"--payload {frame}: {error}") from error
+    joint = int(link.parentJoint)
+    if joint == 0:
+        raise DataError(f"--payload {frame}: this link does not move")
+    mass, x, y, z, *moments = numbers
+    load = pin.Inertia(mass, np.array([x, y, z]), np.diag(moments or [0.0, 0.0, 0.0]))
+    own = load.toDynamicParameters()
+    found = np.zeros(COUNT * (model.njoints - 1))
+    found[COUNT * (joint - 1) : COUNT * joint] = moved_numbers(link.placement) @ own
+    return found
+
+
+def gained(
+    found: Iterable[Piece], names: Sequence[str], gains: Mapping[str, float]
+) -> Iterator[Piece]:
+    """Pieces with the torques of efforts in other units.
+
+    Raises:
+        DataError: A gain of no joint.
+    """
+    unknown = [name for name in gains if name not in names]
+    if unknown:
+        raise DataError(f"--gain {unknown[0]}: no such joint; there are {', '.join(names)}")
+    factors = np.array([gains.get(name, 1.0) for name in names])
+    for piece in found:
+        yield piece._replace(effort=factors * piece.effort, measured=factors * piece.measured)
+
+
+def passive_joints(
+    scene: Scene, named: Sequence[str], recorded: Sequence[Recorded], say: Say
+) -> tuple[str, ...]:
+    """Joints whose effort is 0: those named, else those by which the first body is placed.
+
+    Without any effort, a chain of joints from the world to the first link with mass is what
+    measured a body that moves freely, such as the pelvis in a model of a person.
+
+    Args:
+        scene: The scene.
+        named: Joints that the user names.
+        recorded: The recordings.
+        say: Is told which they are.
+
+    Raises:
+        DataError: Unknown joints.
+    """
+    joints = scene.couplings.independent
+    unknown = [name for name in named if name not in joints]
+    if unknown:
+        raise DataError(f"--passive {unknown[0]}: no such joint; there are {', '.join(joints)}")
+    if named:
+        return tuple(named)
+    has_effort = any(one.motion.effort is not None for one in recorded)
+    if has_effort or not scene.wrenches or scene.robot.floating:
+        return ()
+    model, chain, at = scene.robot.model, list[str](), 0
+    while True:
+        below = [j for j in range(1, model.njoints) if int(model.parents[j]) == at]
+        if len(below) != 1:
+            break
+        at = below[0]
+        names = [j.name for j in scene.robot.joints if model.getJointId(j.urdf_name) == at]
+        chain += [name for name in names if name in joints]
+        if model.inertias[at].mass > 0.0:
+            break
+    if len(chain) > 1:
+        say(
+            f"no efforts: {', '.join(chain)} place a body that nothing drives, its balance is used"
+        )
+        return tuple(chain)
+    return ()
+
+
 def regressor_of(scene: Scene, recorded: Sequence[Recorded]) -> Regressor | LoopRegressor:
     """The regressor of a scene, with or without loops; efforts tell which joints drive loops."""
     solver = scene.inverse_dynamics()
@@ -585,3 +449,117 @@ def regressor_of(scene: Scene, recorded: Sequence[Recorded]) -> Regressor | Loop
         return LoopRegressor(scene.robot, solver, scene.initial, driven_joints(scene, recorded))
     except ModelError as error:
         raise DataError(f"{scene.name}: {error}") from error
+
+
+def driven_joints(scene: Scene, recorded: Sequence[Recorded]) -> list[str]:
+    """Independent joints with an effort that is not 0 throughout.
+
+    Raises:
+        DataError: There is none.
+    """
+    names, found = scene.couplings.independent, []
+    for i, name in enumerate(names):
+        efforts = [one.motion.effort for one in recorded]
+        known = [effort[:, i] for effort in efforts if effort is not None]
+        if known and all(np.isfinite(e).mean() > 0.99 and e.any() for e in known):
+            found.append(name)
+    if not found:
+        where = ", ".join(one.where for one in recorded)
+        raise DataError(f"{where}: no effort of any of {', '.join(names)}")
+    return found
+
+
+class RowMaker:
+    """Makes filtered rows of pieces: base parameters, candidates of friction, torques.
+
+    Args:
+        regressor: Of the scene.
+        rows: Rows of the regressor that are used, shape (m,).
+        columns: Candidates of friction of each of them; none of a row without a joint.
+        joints: Place of each of these rows among the independent joints, -1 of no effort.
+        peak: Largest speed of the motor of each, shape (m,).
+        motors: Of these rows.
+    """
+
+    def __init__(
+        self,
+        regressor: Regressor | LoopRegressor,
+        base: BaseParameters,
+        rows: NDArray[np.intp],
+        columns: Sequence[tuple[Column, ...]],
+        joints: NDArray[np.intp],
+        peak: Array,
+        motors: Motors,
+    ) -> None:
+        self.regressor, self.base, self.rows = regressor, base, rows
+        self.coordinates = regressor.coordinates[rows]
+        self.columns, self.joints, self.peak = columns, joints, peak
+        self.motors = motors
+        self.carried: Array | None = None  # inertial numbers that are known, of all bodies
+
+    def blocks(self, piece: Piece, band: float | None, delays: Array) -> Iterator[Block]:
+        """Rows of a piece through the filter of its band; without a band all its samples."""
+        rate = 1.0 / float(np.median(np.diff(piece.times)))
+        step = 1 if band is None else grid_step(rate, band)
+        grid = np.arange(0, len(piece.times), step)
+        low = None if band is None else Filter.of(rate / step, band)
+        if low is None:
+            chunks = [grid[i : i + _CHUNK] for i in range(0, len(grid), _CHUNK)]
+        else:
+            chunks = _overlapping(grid, low)
+        for chunk in chunks:
+            X, F, Y, moves, known = self._plain(piece, chunk, delays)
+            if low is None:
+                yield Block(X, F, Y, moves, known)
+                continue
+            passed = low.passed(moves.astype(np.float64))
+            X, F, Y = low.passed(X), [low.passed(f) for f in F], low.passed(Y)
+            yield Block(X, F, Y, passed >= _MOVING_SHARE, low.passed(known))
+
+    def _plain(
+        self, piece: Piece, at: NDArray[np.intp], delays: Array
+    ) -> tuple[Array, list[Array], Array, NDArray[np.bool_], Array]:
+        """Rows of samples before the filter, and which joints move."""
+        y, v, a = piece.y[at], piece.v[at], piece.a[at]
+        W = self.regressor.rows(y, v, a)
+        known = self.regressor.known(W, y, v, a, [load[at] for load in piece.loads])[:, self.rows]
+        for carried in (self.carried, piece.carried):
+            if carried is not None:
+                known = known + W[:, self.rows] @ carried
+        X = np.ascontiguousarray(W[:, self.rows][:, :, self.base.chosen])
+        effort = np.zeros((len(at), len(self.rows), len(delays)))
+        for i, joint in enumerate(self.joints):
+            if joint >= 0:
+                for k, delay in enumerate(delays):
+                    late = piece.times[at] + delay
+                    effort[:, i, k] = np.interp(late, piece.times, piece.effort[:, joint])
+        weight = self.regressor.weight(y)[:, self.rows]
+        v, a = v[:, self.coordinates], a[:, self.coordinates]
+        if self.motors.are_coupled:
+            X, known, weight, effort, v, a = self._of_motors(X, known, weight, effort, v, a)
+        each = zip(self.columns, v.T, a.T, weight.T, strict=True)
+        F = [columns_of(own, rate, push, load) for own, rate, push, load in each]
+        moves = np.abs(v) > _STILL * self.peak
+        moves[:, self.peak == 0.0] = True
+        moves[:, self.joints < 0] = True
+        Y = effort - known[:, :, None]
+        return X, F, Y, moves, known
+
+    def _of_motors(
+        self, X: Array, known: Array, weight: Array, effort: Array, v: Array, a: Array
+    ) -> tuple[Array, Array, Array, Array, Array, Array]:
+        """All of them for motors in place of joints."""
+        motors = self.motors
+        turned = np.swapaxes(motors.torques(np.swapaxes(X, 1, 2)), 1, 2)
+        told = np.swapaxes(motors.from_measured(np.swapaxes(effort, 1, 2)), 1, 2)
+        known, weight = motors.torques(known), motors.torques(weight)
+        return turned, known, weight, told, motors.speeds(v), motors.speeds(a)
+
+
+def _overlapping(grid: NDArray[np.intp], low: Filter) -> Iterator[NDArray[np.intp]]:
+    """Chunks of a grid whose windows together are those of all of it."""
+    starts = low.starts(len(grid))
+    count = max(_CHUNK // low.step, 1)
+    for first in range(0, len(starts), count):
+        some = starts[first : first + count]
+        yield grid[some[0] : some[-1] + len(low.taps)]

@@ -22,11 +22,11 @@ from mbd_ros.features.identification.problem import Block
 from mbd_ros.features.identification.regressor import Column
 
 Blocks = Callable[[Array], Iterable[Block]]  # of delays
-_ROUNDS = 3
+_REWEIGHTINGS = 3  # at most
 _OUTLIER = 3.0  # standard deviations: larger residuals weigh less (Huber)
 _NORMAL = 1.4826  # standard deviation over median of the size, of normal numbers
 _DELAYS = 41  # tried at once
-_INDEPENDENT = 0.5  # of the rows that the filter keeps, before their residuals are known
+_USUAL_SHARE = 0.5  # of the rows that the filter keeps, before their residuals are known
 
 
 class Search(NamedTuple):
@@ -82,7 +82,7 @@ def learn(
     delay = delay_of(blocks, columns, r, allowed, search, correlation)
     at = np.array([delay])
     found = first_fit(blocks, columns, r, allowed, delay)
-    for _ in range(_ROUNDS):
+    for _ in range(_REWEIGHTINGS):
         left = residuals(blocks(at), found)
         noise = [noise_of(each, correlation) for each in left]
         weights = _Weights(found, _limits(left))
@@ -99,6 +99,71 @@ def learn(
         sums.add(block.X, block.F, block.kept)
     covariance = sums.covariance(found)
     return Learned(found, joints, covariance, delay, noise)
+
+
+class _Weights(NamedTuple):
+    """How rows are weighed.
+
+    Attributes:
+        found: What they are compared with.
+        limits: Residuals beyond which rows weigh less [N·m or N], shape (m,).
+    """
+
+    found: Fit
+    limits: Array
+
+
+def _limits(left: Sequence[Array]) -> Array:
+    """Residuals beyond which rows weigh less, by the median of each row."""
+    sizes = [float(np.median(np.abs(own))) if len(own) else np.inf for own in left]
+    return _OUTLIER * _NORMAL * np.array(sizes)
+
+
+def _joints(
+    triangles: Sequence[Triangle],
+    columns: Sequence[tuple[Column, ...]],
+    r: int,
+    torque: int = 0,
+    noise: Sequence[Noise] = (),
+) -> list[Joint]:
+    """Triangles with one of their torques each."""
+    joints = []
+    for i, (triangle, own) in enumerate(zip(triangles, columns, strict=True)):
+        R, rows = triangle.R, triangle.rows
+        y = R[:, r + len(own) + torque]
+        share = noise[i].share if noise else _USUAL_SHARE
+        usual = float(np.linalg.norm(y) / np.sqrt(max(rows, 1)))
+        whole = np.column_stack([R[:, : r + len(own)], y])
+        joints.append(Joint(whole, rows, share * rows, own, usual))
+    return joints
+
+
+def _triangles(
+    blocks: Iterable[Block], columns: Sequence[tuple[Column, ...]], weights: _Weights | None
+) -> list[Triangle]:
+    """Triangle of each row: base parameters, candidates, torques."""
+    triangles: list[Triangle] = []
+    for block in _weighted(blocks, weights):
+        r, delays = block.X.shape[2], block.Y.shape[2]
+        triangles = triangles or [Triangle(r + len(own) + delays) for own in columns]
+        for i, triangle in enumerate(triangles):
+            rows = np.hstack([block.X[:, i], block.F[i], block.Y[:, i]])
+            triangle.add(rows[block.kept[:, i]])
+    return [triangle.close() for triangle in triangles]
+
+
+def _weighted(blocks: Iterable[Block], weights: _Weights | None) -> Iterator[Block]:
+    """Rows times the root of their weight."""
+    for block in blocks:
+        if weights is None:
+            yield block
+            continue
+        size = np.maximum(np.abs(residual(block, weights.found)), TINY)
+        root = np.sqrt(np.minimum(np.maximum(weights.limits, TINY) / size, 1.0))
+        F = [root[:, i, None] * own for i, own in enumerate(block.F)]
+        yield Block(
+            root[:, :, None] * block.X, F, root[:, :, None] * block.Y, block.kept, block.known
+        )
 
 
 def delay_of(
@@ -118,18 +183,6 @@ def delay_of(
     return delay if abs(delay) > search.least else 0.0
 
 
-def first_fit(
-    blocks: Blocks,
-    columns: Sequence[tuple[Column, ...]],
-    r: int,
-    allowed: Sequence[str],
-    delay: float,
-) -> Fit:
-    """Fit with the usual friction of joints."""
-    joints = _joints(_triangles(blocks(np.array([delay])), columns, None), columns, r)
-    return fit(joints, [usual_choice(joint, allowed) for joint in joints], r)
-
-
 def find_delay(
     blocks: Blocks,
     columns: Sequence[tuple[Column, ...]],
@@ -141,10 +194,10 @@ def find_delay(
     """Delay of efforts against the motion with the smallest residual, 0 if that is no better.
 
     Args:
-        blocks: As for `learn`.
-        columns: As for `learn`.
-        r: As for `learn`.
-        allowed: As for `learn`.
+        blocks: Gives the rows, for delays of the efforts [s].
+        columns: Candidates of friction of each row.
+        r: Number of base parameters.
+        allowed: Terms of friction that may be taken.
         reach: Longest delay that is looked for [s].
         noise: Of the residuals without a delay.
     """
@@ -172,49 +225,16 @@ def _least(tried: Array, costs: Array, effective: float) -> float:
     return float(tried[best] + shift * (tried[1] - tried[0]))
 
 
-class _Weights(NamedTuple):
-    """How rows are weighed.
-
-    Attributes:
-        found: What they are compared with.
-        limits: Residuals beyond which rows weigh less [N·m or N], shape (m,).
-    """
-
-    found: Fit
-    limits: Array
-
-
-def _triangles(
-    blocks: Iterable[Block], columns: Sequence[tuple[Column, ...]], weights: _Weights | None
-) -> list[Triangle]:
-    """Triangle of each row: base parameters, candidates, torques."""
-    triangles: list[Triangle] = []
-    for block in _weighted(blocks, weights):
-        r, delays = block.X.shape[2], block.Y.shape[2]
-        triangles = triangles or [Triangle(r + len(own) + delays) for own in columns]
-        for i, triangle in enumerate(triangles):
-            rows = np.hstack([block.X[:, i], block.F[i], block.Y[:, i]])
-            triangle.add(rows[block.kept[:, i]])
-    return [triangle.close() for triangle in triangles]
-
-
-def _joints(
-    triangles: Sequence[Triangle],
+def first_fit(
+    blocks: Blocks,
     columns: Sequence[tuple[Column, ...]],
     r: int,
-    torque: int = 0,
-    noise: Sequence[Noise] = (),
-) -> list[Joint]:
-    """Triangles with one of their torques each."""
-    joints = []
-    for i, (triangle, own) in enumerate(zip(triangles, columns, strict=True)):
-        R, rows = triangle.R, triangle.rows
-        y = R[:, r + len(own) + torque]
-        share = noise[i].share if noise else _INDEPENDENT
-        usual = float(np.linalg.norm(y) / np.sqrt(max(rows, 1)))
-        whole = np.column_stack([R[:, : r + len(own)], y])
-        joints.append(Joint(whole, rows, share * rows, own, usual))
-    return joints
+    allowed: Sequence[str],
+    delay: float,
+) -> Fit:
+    """Fit with the usual friction of joints."""
+    joints = _joints(_triangles(blocks(np.array([delay])), columns, None), columns, r)
+    return fit(joints, [usual_choice(joint, allowed) for joint in joints], r)
 
 
 def residuals(blocks: Iterable[Block], found: Fit) -> list[Array]:
@@ -233,23 +253,3 @@ def residual(block: Block, found: Fit) -> Array:
     for i, (own, values) in enumerate(zip(found.taken, found.friction, strict=True)):
         left[:, i] -= block.F[i][:, own] @ values
     return np.asarray(left)
-
-
-def _limits(left: Sequence[Array]) -> Array:
-    """Residuals beyond which rows weigh less, by the median of each row."""
-    sizes = [float(np.median(np.abs(own))) if len(own) else np.inf for own in left]
-    return _OUTLIER * _NORMAL * np.array(sizes)
-
-
-def _weighted(blocks: Iterable[Block], weights: _Weights | None) -> Iterator[Block]:
-    """Rows times the root of their weight."""
-    for block in blocks:
-        if weights is None:
-            yield block
-            continue
-        size = np.maximum(np.abs(residual(block, weights.found)), TINY)
-        root = np.sqrt(np.minimum(np.maximum(weights.limits, TINY) / size, 1.0))
-        F = [root[:, i, None] * own for i, own in enumerate(block.F)]
-        yield Block(
-            root[:, :, None] * block.X, F, root[:, :, None] * block.Y, block.kept, block.known
-        )

@@ -22,15 +22,16 @@ from mbd_ros.errors import ModelError
 from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 
-# ---- regressor --------------------------------------------------------------------------------
-# Forces as a matrix times the inertial numbers, for coupled joints and for loops.
+_SMOOTHINGS = (0.005, 0.02, 0.05, 0.1, 0.2, 0.4)  # of the usual velocity
+_STRIBECKS = (0.1, 0.3, 0.6)  # of the usual velocity
+TERMS = ("viscous", "coulomb", "offset", "load", "stribeck", "inertia")
+OF_SEVERAL = ("viscous", "coulomb", "offset", "stribeck")  # of a motor that several joints turn
 
 
 class Regressor:
     """Rows of an open chain, coupled or not: one for each independent coordinate.
 
     Args:
-        robot: The robot.
         solver: Inverse dynamics of the scene, whose forces and wrenches are the known ones.
 
     Attributes:
@@ -90,68 +91,16 @@ class Regressor:
         return np.array([pin.computeGeneralizedGravity(model, data, here)[at] for here in q.T])
 
 
-def expanded(
-    model: Any, couplings: Couplings, y: Array, v: Array, a: Array
-) -> tuple[Array, Array, Array, Any]:
-    """All coordinates of samples of the independent ones, one sample a column, and slopes."""
-    n = len(y)
-    q, rate, push = (np.zeros((size, n)) for size in (model.nq, model.nv, model.nv))
-    q[couplings.q_index], rate[couplings.v_index], push[couplings.v_index] = y.T, v.T, a.T
-    slopes = couplings.expand(q, rate, push)
-    return q, rate, push, slopes
-
-
-def random_states(
-    robot: Robot, couplings: Couplings, count: int, seed: int = 0
-) -> tuple[Array, Array, Array]:
-    """States for ranks: positions within limits, velocities and accelerations of about 1.
-
-    Args:
-        robot: The robot.
-        couplings: Its dependent joints.
-        count: How many.
-        seed: Of the random numbers.
-
-    Returns:
-        Independent coordinates, velocities and accelerations, one state a row.
-    """
-    random, at = np.random.default_rng(seed), IndependentCoordinates(robot, couplings)
-    ny, nw = len(couplings.q_index), len(couplings.v_index)
-    y, v, a = np.zeros((count, ny)), *random.normal(0.0, 2.0, (2, count, nw))
-    for name, i in zip(couplings.independent, at.joint_y, strict=True):
-        low, high = limits_of(robot, name)
-        y[:, i] = random.uniform(low, high, count)
-    for of in at.body_y:
-        pose = np.hstack([random.normal(size=(count, 3)), random.normal(size=(count, 4))])
-        pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
-        y[:, of] = pose
-    return y, v, a
-
-
-def limits_of(robot: Robot, name: str) -> tuple[float, float]:
-    """Where a joint can be [rad or m]; half a turn or half a metre where nothing says it."""
-    joint = robot.joint(name)
-    usual = 0.5 if joint.kind == "prismatic" else np.pi
-    low, high = max(joint.lower, -2.0 * usual), min(joint.upper, 2.0 * usual)
-    return (low, high) if low < high else (-usual, usual)
-
-
-# ---- loop regressor ---------------------------------------------------------------------------
-# Rows of a mechanism with loops: one for each motion that its loops leave.
-#
-# N = [E; -J_2^-1 J_1] has a column for each of some actuated joints, chosen once: J N = 0 takes
-# the
-# multipliers out, N' (M a + h - loads) = N' B u. Efforts of other joints act along N, too.
-#
-# Source: J. Garcia de Jalon, E. Bayo, Kinematic and Dynamic Simulation of Multibody Systems, 1994,
-# section 5.2 (independent coordinates by the matrix R).
-
-
 class LoopRegressor:
-    """Rows of a mechanism, see `Regressor`.
+    """Rows of a mechanism with loops: one for each motion that its loops leave.
+
+    N = [E; -J_2^-1 J_1] has a column for each of some actuated joints, chosen once: J N = 0 takes
+    the multipliers out, N' (M a + h - loads) = N' B u. Efforts of other joints act along N, too.
+
+    Source: J. Garcia de Jalon, E. Bayo, Kinematic and Dynamic Simulation of Multibody Systems,
+    1994, section 5.2 (independent coordinates by the matrix R).
 
     Args:
-        robot: The robot.
         solver: Inverse dynamics of the scene, whose forces and wrenches are the known ones.
         start: State near the constraints.
         driven: Joints whose efforts are measured.
@@ -257,27 +206,17 @@ def _leading(J: Array, wanted: Sequence[int]) -> NDArray[np.intp]:
     return np.array(sorted(chosen), dtype=np.intp)
 
 
-# ---- friction ---------------------------------------------------------------------------------
-# What a joint takes besides the inertias of bodies: friction, offset, rotor inertia.
-#
-#     tau = viscous v + (coulomb + load |g| + stribeck / (1 + (v / v_s)^2)) s + offset + inertia a
-#     s = tanh(v / smoothing)
-#
-# with g the torque that holds the given robot still. It is linear in all but smoothing and v_s, of
-# which a few multiples of the usual velocity of the joint are tried.
-#
-# Source: D. P. Hess, A. Soom, J. Tribology 112, 1990, 147 (this curve of Stribeck); B.
-# Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30, 1994, 1083 (a survey).
-
-
-_SMOOTHINGS = (0.005, 0.02, 0.05, 0.1, 0.2, 0.4)  # of the usual velocity
-_STRIBECKS = (0.1, 0.3, 0.6)  # the same
-TERMS = ("viscous", "coulomb", "offset", "load", "stribeck", "inertia")
-OF_SEVERAL = ("viscous", "coulomb", "offset", "stribeck")  # of a motor that several joints turn
-
-
 class Column(NamedTuple):
-    """One column of a joint.
+    """One column of what a joint takes besides the inertias of bodies.
+
+        tau = viscous v + (coulomb + load |g| + stribeck / (1 + (v / v_s)^2)) s + offset
+              + inertia a,    s = tanh(v / smoothing)
+
+    with g the torque that holds the given robot still. It is linear in all but smoothing and v_s,
+    of which a few multiples of the usual velocity of the joint are tried.
+
+    Source: D. P. Hess, A. Soom, J. Tribology 112, 1990, 147 (this curve of Stribeck); B.
+    Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, Automatica 30, 1994, 1083 (a survey).
 
     Attributes:
         term: Of `TERMS`.
@@ -288,22 +227,6 @@ class Column(NamedTuple):
     term: str
     smoothing: float = 0.0
     stribeck: float = 0.0
-
-
-def candidates(usual: float) -> tuple[Column, ...]:
-    """All columns that are tried of a joint.
-
-    Args:
-        usual: Root mean square of its velocity [rad/s or m/s].
-    """
-    smooth = [factor * usual for factor in _SMOOTHINGS]
-    curves = [(s, factor * usual) for s in smooth[:3] for factor in _STRIBECKS]
-    return (
-        *(Column(term) for term in ("viscous", "offset", "inertia")),
-        *(Column("coulomb", s) for s in smooth),
-        *(Column("load", s) for s in smooth),
-        *(Column("stribeck", s, v) for s, v in curves),
-    )
 
 
 def columns_of(chosen: Sequence[Column], v: Array, a: Array, weight: Array) -> Array:
@@ -328,6 +251,22 @@ def columns_of(chosen: Sequence[Column], v: Array, a: Array, weight: Array) -> A
             side /= 1.0 + np.square(v / stribeck)
         found[:, k] = side
     return found
+
+
+def candidates(usual: float) -> tuple[Column, ...]:
+    """All columns that are tried of a joint.
+
+    Args:
+        usual: Root mean square of its velocity [rad/s or m/s].
+    """
+    smooth = [factor * usual for factor in _SMOOTHINGS]
+    curves = [(s, factor * usual) for s in smooth[:3] for factor in _STRIBECKS]
+    return (
+        *(Column(term) for term in ("viscous", "offset", "inertia")),
+        *(Column("coulomb", s) for s in smooth),
+        *(Column("load", s) for s in smooth),
+        *(Column("stribeck", s, v) for s, v in curves),
+    )
 
 
 def choices(columns: Sequence[Column], allowed: Iterable[str]) -> list[tuple[int, ...]]:
@@ -356,3 +295,49 @@ def choices(columns: Sequence[Column], allowed: Iterable[str]) -> list[tuple[int
                 plain = (*some, *viscous, *offset)
                 found += [plain, *((*plain, i) for i in at["inertia"])]
     return found
+
+
+def expanded(
+    model: Any, couplings: Couplings, y: Array, v: Array, a: Array
+) -> tuple[Array, Array, Array, Any]:
+    """All coordinates of samples of the independent ones, one sample a column, and slopes."""
+    n = len(y)
+    q, rate, push = (np.zeros((size, n)) for size in (model.nq, model.nv, model.nv))
+    q[couplings.q_index], rate[couplings.v_index], push[couplings.v_index] = y.T, v.T, a.T
+    slopes = couplings.expand(q, rate, push)
+    return q, rate, push, slopes
+
+
+def random_states(
+    robot: Robot, couplings: Couplings, count: int, seed: int = 0
+) -> tuple[Array, Array, Array]:
+    """States for ranks: positions within limits, velocities and accelerations of about 1.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints.
+        count: How many.
+        seed: Of the random numbers.
+
+    Returns:
+        Independent coordinates, velocities and accelerations, one state a row.
+    """
+    random, at = np.random.default_rng(seed), IndependentCoordinates(robot, couplings)
+    ny, nw = len(couplings.q_index), len(couplings.v_index)
+    y, v, a = np.zeros((count, ny)), *random.normal(0.0, 2.0, (2, count, nw))
+    for name, i in zip(couplings.independent, at.joint_y, strict=True):
+        low, high = limits_of(robot, name)
+        y[:, i] = random.uniform(low, high, count)
+    for of in at.body_y:
+        pose = np.hstack([random.normal(size=(count, 3)), random.normal(size=(count, 4))])
+        pose[:, 3:] /= np.linalg.norm(pose[:, 3:], axis=1, keepdims=True)
+        y[:, of] = pose
+    return y, v, a
+
+
+def limits_of(robot: Robot, name: str) -> tuple[float, float]:
+    """Where a joint can be [rad or m]; half a turn or half a metre where nothing says it."""
+    joint = robot.joint(name)
+    usual = 0.5 if joint.kind == "prismatic" else np.pi
+    low, high = max(joint.lower, -2.0 * usual), min(joint.upper, 2.0 * usual)
+    return (low, high) if low < high else (-usual, usual)

@@ -1,4 +1,8 @@
-"""Recordings as pieces of samples without gaps, their band, and what they can say."""
+"""Recordings as pieces of samples without gaps, their band, and what they can say.
+
+A recording is split in two: to learn from, and to be tested. Motions show masses in a band, which
+a filter keeps. What efforts and motion cannot say is refused in words of who recorded them.
+"""
 
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
@@ -19,12 +23,21 @@ from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.samples import Task, kept_rows, read_recording
 from mbd_ros.scene.built_scene import Scene
 
-# ---- samples ----------------------------------------------------------------------------------
-# Recordings as pieces of samples without gaps, split in two: to learn from, and to be tested.
-
-
 _MEASURED = 0.99  # of the samples: a joint with fewer efforts has none
 _LEARNED = 0.6  # of the time of a recording; what follows is for the test
+_ENERGY_SHARE = 0.999  # of the energy of a velocity, which lies below the frequency of the motion
+_BAND_FACTOR = 5.0  # of that frequency: where the band ends; products of sines are in it
+_GRID = 20.0  # samples for a period of the end of the band: friction changes sign within one
+_KEPT_GRID = 2.5  # the same, of what is left when the band is all that there is
+_HALF_LENGTH = 1.5  # periods of the end of the band on either side of a sample of the filter
+HIGHEST = 0.2  # of the sampling rate: where a band ends at the latest
+_LOWEST_RATIO, _HIGHEST_RATIO = 0.2, 5.0  # measured over given torque of a robot as described
+_MATTERS = 0.3  # of the torque: what the given robot explains at least, to compare units
+_CONDITION = 2.0e4  # of scaled columns: more is a motion that hides some of them
+_IN_PHASE = 3.0e2  # the same, of a motion in which all joints follow one another
+_HIDDEN_PART = 0.2  # of a hidden direction: parameters that are named
+_FEWEST_ROWS = 2.0  # independent rows for each unknown
+_LEAST_MOTION = 0.02  # rad or m: a joint that moves less shows nothing
 
 
 class Recorded(NamedTuple):
@@ -168,15 +181,6 @@ def pieces(scene: Scene, recorded: Recorded, band: float | None) -> Iterator[Pie
         yield Piece(times, *samples[1:4], low, measured, loads, rate, recorded.carried)
 
 
-def asked_cutoffs(scene: Scene, recorded: Recorded) -> Array:
-    """Half-power frequencies that the spectra of the joints ask for [Hz], inf for none."""
-    if recorded.derivatives == "given":
-        return np.full(1, np.inf)
-    chosen = Derivatives(recorded.derivatives)
-    found = differentiate(scene, recorded.where, recorded.motion, chosen).cutoff
-    return np.full(1, np.inf) if found is None else found
-
-
 def _low_passed(motion: Motion, effort: Array, band: float) -> Array:
     """Efforts without what the grid of the regressor could not carry."""
     there = np.isfinite(effort).all(axis=0)
@@ -218,16 +222,13 @@ def check_efforts(scene: Scene, recorded: Sequence[Recorded], passive: Sequence[
             )
 
 
-# ---- band -------------------------------------------------------------------------------------
-# The band in which a motion shows its masses, and the filter that keeps it.
-
-
-_SHARE = 0.999  # of the energy of a velocity, which lies below the frequency of the motion
-_ABOVE = 5.0  # of that frequency: where the band ends; products of sines are in it
-_GRID = 20.0  # samples for a period of the end of the band: friction changes sign within one
-_KEPT = 2.5  # the same, of what is left when the band is all that there is
-_HALF_LENGTH = 1.5  # periods of the end of the band on either side of a sample of the filter
-HIGHEST = 0.2  # of the sampling rate: where a band ends at the latest
+def asked_cutoffs(scene: Scene, recorded: Recorded) -> Array:
+    """Half-power frequencies that the spectra of the joints ask for [Hz], inf for none."""
+    if recorded.derivatives == "given":
+        return np.full(1, np.inf)
+    chosen = Derivatives(recorded.derivatives)
+    found = differentiate(scene, recorded.where, recorded.motion, chosen).cutoff
+    return np.full(1, np.inf) if found is None else found
 
 
 def band_of(times: Array, velocity: Array) -> float:
@@ -247,9 +248,9 @@ def band_of(times: Array, velocity: Array) -> float:
     if not (moving.any() and total.max() > 0.0):
         return HIGHEST * rate
     below = np.cumsum(energy[:, moving], axis=0) / total[moving]
-    own = [frequency[np.searchsorted(b, _SHARE)] for b in below.T]
+    own = [frequency[np.searchsorted(b, _ENERGY_SHARE)] for b in below.T]
     lowest = 1.0 / (times[-1] - times[0])
-    return float(min(_ABOVE * max(*own, lowest), HIGHEST * rate))
+    return float(min(_BAND_FACTOR * max(*own, lowest), HIGHEST * rate))
 
 
 class Filter(NamedTuple):
@@ -277,7 +278,7 @@ class Filter(NamedTuple):
         half = int(np.ceil(_HALF_LENGTH * rate / band))
         at = np.arange(-half, half + 1)
         taps = np.sinc(2.0 * band / rate * at) * np.hamming(2 * half + 1)
-        return cls(taps / taps.sum(), max(int(rate / (_KEPT * band)), 1))
+        return cls(taps / taps.sum(), max(int(rate / (_KEPT_GRID * band)), 1))
 
     @property
     def correlation(self) -> Array:
@@ -312,19 +313,6 @@ def grid_step(rate: float, band: float) -> int:
     return max(int(rate / (_GRID * band)), 1)
 
 
-# ---- checks -----------------------------------------------------------------------------------
-# Whether efforts and motion can say anything, in words of who recorded them.
-
-
-_LOW, _HIGH = 0.2, 5.0  # measured over given torque: no robot is described as badly as that
-_MATTERS = 0.3  # of the torque: what the given robot explains at least, to compare units
-_CONDITION = 2.0e4  # of scaled columns: more is a motion that hides some of them
-_IN_PHASE = 3.0e2  # the same, of a motion in which all joints follow one another
-_PART = 0.2  # of a hidden direction: parameters that are named
-_FEWEST = 2.0  # independent rows for each unknown
-_LITTLE = 0.02  # rad or m: a joint that moves less shows nothing
-
-
 def check_units(
     where: str, labels: Sequence[str], joints: Sequence[Joint], given: Array, r: int
 ) -> None:
@@ -356,7 +344,9 @@ def check_units(
             and np.linalg.norm(left) > _MATTERS * np.linalg.norm(y) / 3.0
         ):
             slopes[label] = float(alone @ left / (alone @ alone))
-    off = {name: slope for name, slope in slopes.items() if not _LOW < slope < _HIGH}
+    off = {
+        name: slope for name, slope in slopes.items() if not _LOWEST_RATIO < slope < _HIGHEST_RATIO
+    }
     if off and 2 * len(off) > len(slopes):
         found = ", ".join(f"{name} {slope:.3g}" for name, slope in off.items())
         raise DataError(
@@ -395,7 +385,7 @@ def check_excitation(
     _, s, V = np.linalg.svd(rows[:, seen] / scale[seen], full_matrices=True)
     s = np.r_[s, np.zeros(len(seen) - len(s))]
     weak = V[s * most < s.max(initial=0.0)]
-    hidden[seen] |= (np.abs(weak) > _PART).any(axis=0)
+    hidden[seen] |= (np.abs(weak) > _HIDDEN_PART).any(axis=0)
     if not hidden.any():
         return []
     names = [texts[i] for i in np.flatnonzero(hidden)]
@@ -428,7 +418,7 @@ def check_still(
     """
     said = []
     for label, far, body in movement:
-        if far < _LITTLE:
+        if far < _LEAST_MOTION:
             own = [text for text in texts if text.startswith(f"{body}.")]
             shown = f": that does not show {'; '.join(own)}" if own else ""
             said.append(f"{where}: {label} moves by {far:.2g} only{shown}")
@@ -444,8 +434,10 @@ def check_length(where: str, joints: Sequence[Joint], unknown: int, seconds: flo
         DataError: Says how long it would have to be.
     """
     rows = sum(joint.rows for joint in joints)
-    if rows < _FEWEST * unknown:
-        enough = f"; about {seconds * _FEWEST * unknown / rows:.3g} s would do" if rows else ""
+    if rows < _FEWEST_ROWS * unknown:
+        enough = (
+            f"; about {seconds * _FEWEST_ROWS * unknown / rows:.3g} s would do" if rows else ""
+        )
         raise DataError(
             f"{where}: {seconds:.3g} s to learn from are too short: {rows:.0f} independent values "
             f"for {unknown} unknowns{enough}"

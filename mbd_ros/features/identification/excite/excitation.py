@@ -11,19 +11,22 @@ from mbd_ros.features.identification.regressor import expanded, limits_of
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.scene.built_scene import Scene
 
-# ---- fourier ----------------------------------------------------------------------------------
-# Periodic motions that begin and end at rest: finite Fourier series of velocities.
-#
-#     v = sum_l A_l cos(l w t) + B_l sin(l w t),   sum A_l = 0,   sum l B_l = 0
-#
-# so that velocity and acceleration are 0 at t = 0 and after every period.
-#
-# Source: J. Swevers et al., IEEE Trans. Robot. Autom. 13, 1997, 730 (Fourier series to excite
-# robots).
+_USUAL_SPEED = 2.0  # rad/s, where a description has no velocity limit
+_SLIDING_SPEED = 0.5  # m/s, the same of prismatic joints
+_SHARE = 0.9  # of every limit is used
+_STEPS = 40  # of the amplitude, each smaller
+_SMALLER = 0.93  # factor of the amplitude, a step
+_POSTURES = 50  # random ones that tell which links always touch
 
 
 class Fourier(NamedTuple):
-    """A motion of joints.
+    """A periodic motion of joints that begins and ends at rest: a Fourier series of velocities.
+
+        v = sum_l A_l cos(l w t) + B_l sin(l w t),   sum A_l = 0,   sum l B_l = 0
+
+    so that velocity and acceleration are 0 at t = 0 and after every period.
+
+    Source: J. Swevers et al., IEEE Trans. Robot. Autom. 13, 1997, 730.
 
     Attributes:
         centre: Mean position [rad or m], shape (n,).
@@ -56,32 +59,8 @@ class Fourier(NamedTuple):
         return position, c @ self.A + s @ self.B, (c * w) @ self.B - (s * w) @ self.A
 
 
-# ---- limits -----------------------------------------------------------------------------------
-# What a motion must keep: positions, velocities and torques of joints, distance of links.
-
-
-_SLOW = {"prismatic": 0.5}  # m/s where a description has no velocity limit; rad/s of others:
-_USUAL = 2.0
-_SHARE = 0.9  # of every limit is used
-_STEPS = 40  # of the amplitude, each smaller
-_SMALLER = 0.93
-_NEUTRAL = 50  # random postures that tell which links always touch
-
-
-class Judged(NamedTuple):
-    """A motion within the limits.
-
-    Attributes:
-        motion: Its amplitude is as large as limits let it.
-        share: Of the amplitude that torques and distances left, 1 for all.
-    """
-
-    motion: Fourier
-    share: float
-
-
 class Limits:
-    """Limits of a scene.
+    """What a motion must keep: positions, velocities and torques of joints, distance of links.
 
     Args:
         scene: The scene, without loops and free bases.
@@ -120,7 +99,7 @@ class Limits:
         """Positions of the independent joints, lowest and highest."""
         return self._lower[self._independent], self._upper[self._independent]
 
-    def largest(self, shape: Fourier, share: Array, t: Array) -> Judged | None:
+    def largest(self, shape: Fourier, share: Array, t: Array) -> Fourier | None:
         """A motion of a shape, as large as it may be; None where even a small one may not be.
 
         Args:
@@ -134,13 +113,13 @@ class Limits:
         beside = np.minimum(shape.centre - low, high - shape.centre)
         fast = np.abs(v).max(axis=0)
         most = np.minimum(beside / away, self._speed[self._independent] / fast)
-        motion, left = shape.scaled(share * most), 1.0
+        motion = shape.scaled(share * most)
         if not self.keeps(motion.scaled(np.full(len(share), _SMALLER**_STEPS)), t):
             return None
         for _ in range(_STEPS):
             if self.keeps(motion, t):
-                return Judged(motion, left)
-            motion, left = motion.scaled(np.full(len(share), _SMALLER)), left * _SMALLER
+                return motion
+            motion = motion.scaled(np.full(len(share), _SMALLER))
         return None
 
     def keeps(self, motion: Fourier, t: Array, collisions: bool = False) -> bool:
@@ -161,13 +140,15 @@ class Limits:
         return not (collisions and self._near.touches(q))
 
 
+def _speed(kind: str, limit: float) -> float:
+    usual = _SLIDING_SPEED if kind == "prismatic" else _USUAL_SPEED
+    return limit if np.isfinite(limit) else usual
+
+
 class SelfCollision:
     """Whether links of a robot touch, by the collision shapes of its description.
 
     Links that touch in each of many postures, such as neighbours, are left aside.
-
-    Args:
-        scene: The scene.
 
     Attributes:
         remarks: Why it is not looked at, where that is so.
@@ -197,7 +178,7 @@ class SelfCollision:
         random, geometry, always = np.random.default_rng(0), self._geometry, None
         q = scene.robot.neutral()
         found = pin.GeometryData(geometry)
-        for _ in range(_NEUTRAL):
+        for _ in range(_POSTURES):
             for joint in scene.robot.joints:
                 q[joint.q] = random.uniform(*limits_of(scene.robot, joint.name))
             pin.computeCollisions(self._model, self._data, geometry, found, q, False)
@@ -220,10 +201,6 @@ class SelfCollision:
             pin.computeCollisions(model, data, geometry, found, np.ascontiguousarray(one), True)
             for one in q.T
         )
-
-
-def _speed(kind: str, limit: float) -> float:
-    return limit if np.isfinite(limit) else _SLOW.get(kind, _USUAL)
 
 
 def refuse(scene: Scene) -> None:

@@ -15,12 +15,14 @@ from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.scene.built_scene import Scene
 
-_RANDOM = 200  # motions that are tried before the best of them is improved
+_RANDOM_MOTIONS = 200  # motions that are tried before the best of them is improved
 _LOOKED = 20  # samples a harmonic at which a motion is judged
-_STATES = 300
+_STATES = 300  # random ones that tell which base parameters there are
 _CHANGED = 0.15  # of the numbers, in a step
-_LONGER, _SHORTER, _SHORTEST = 1.2, 0.985, 0.02  # steps after success and failure
-_HOPELESS = 1.0e12
+_LONGER, _SHORTER = 1.2, 0.985  # factors of a step after success and failure
+_SHORTEST = 0.02  # step
+_HOPELESS = 1.0e12  # cost of a motion that breaks limits
+FIELDS = ("position", "velocity", "acceleration")
 
 
 class Excitation(NamedTuple):
@@ -52,9 +54,6 @@ class Excitation(NamedTuple):
         for field, values in zip(FIELDS, self.motion.at(t), strict=True):
             columns += [Column(f"{n}.{field}", values[:, i]) for i, n in enumerate(self.joints)]
         return Result({"samples": Table(columns)})
-
-
-FIELDS = ("position", "velocity", "acceleration")
 
 
 def excite(
@@ -99,11 +98,27 @@ def excite(
     motion = search.kept(x)
     condition = search.condition(motion)
     told(
-        f"condition number {condition:.3g}, best of {_RANDOM} random motions {at_random:.3g}; "
-        f"{len(search.chosen)} base parameters"
+        f"condition number {condition:.3g}, best of {_RANDOM_MOTIONS} random motions "
+        f"{at_random:.3g}; {len(search.chosen)} base parameters"
     )
     names = scene.couplings.independent
     return Excitation(motion, names, condition, at_random, remarks)
+
+
+def _check(period: float, harmonics: int, share: float, evaluations: int) -> None:
+    wrong = {
+        "--period": (0.1 <= period <= 1000.0, period, "0.1 .. 1000 s"),
+        "--harmonics": (3 <= harmonics <= 50, harmonics, "3 .. 50"),
+        "--share": (0.05 <= share <= 1.0, share, "0.05 .. 1"),
+        "--evaluations": (
+            _RANDOM_MOTIONS <= evaluations <= 10**6,
+            evaluations,
+            f"{_RANDOM_MOTIONS} .. 1000000",
+        ),
+    }
+    for name, (is_right, value, accepted) in wrong.items():
+        if not is_right:
+            raise DataError(f"{name} {value:g}: accepted are {accepted}")
 
 
 class _Search:
@@ -127,8 +142,8 @@ class _Search:
         """
         random = np.random.default_rng(seed)
         x, least, at_random, step = self._start(random), np.inf, np.inf, 0.3
-        for k in progress(range(max(evaluations, _RANDOM)), evaluations, "searching"):
-            if k < _RANDOM:
+        for k in progress(range(max(evaluations, _RANDOM_MOTIONS)), evaluations, "searching"):
+            if k < _RANDOM_MOTIONS:
                 tried = self._start(random)
             else:
                 changed = random.random(len(x)) < _CHANGED
@@ -137,9 +152,9 @@ class _Search:
             if cost < least:
                 x, least = tried, cost
                 step *= _LONGER
-            elif k >= _RANDOM:
+            elif k >= _RANDOM_MOTIONS:
                 step = max(_SHORTER * step, _SHORTEST)
-            if k < _RANDOM:
+            if k < _RANDOM_MOTIONS:
                 at_random, step = least, 0.3
         if not least < _HOPELESS:
             raise DataError("no motion keeps the limits of position, velocity and effort")
@@ -151,8 +166,7 @@ class _Search:
         Raises:
             DataError: They touch in however small a motion.
         """
-        found = self._judged(x)
-        motion = found
+        motion = self._judged(x)
         for _ in range(100):
             if motion is not None and self.limits.keeps(motion, self._dense, collisions=True):
                 return motion
@@ -180,24 +194,11 @@ class _Search:
         centre = low + (high - low) * (0.5 + 0.45 * np.tanh(rows[-2]))
         share = 0.25 + 0.75 / (1.0 + np.exp(-rows[-1]))
         shape = Fourier.at_rest(centre, rows[:h], rows[h : 2 * h], self._period)
-        judged = self.limits.largest(shape, share, self._t)
-        return None if judged is None else judged.motion
+        return self.limits.largest(shape, share, self._t)
 
     def _cost(self, x: Array) -> float:
         motion = self._judged(x)
         return _HOPELESS if motion is None else self.condition(motion)
-
-
-def _check(period: float, harmonics: int, share: float, evaluations: int) -> None:
-    wrong = {
-        "--period": (0.1 <= period <= 1000.0, period, "0.1 .. 1000 s"),
-        "--harmonics": (3 <= harmonics <= 50, harmonics, "3 .. 50"),
-        "--share": (0.05 <= share <= 1.0, share, "0.05 .. 1"),
-        "--evaluations": (_RANDOM <= evaluations <= 10**6, evaluations, f"{_RANDOM} .. 1000000"),
-    }
-    for name, (is_right, value, accepted) in wrong.items():
-        if not is_right:
-            raise DataError(f"{name} {value:g}: accepted are {accepted}")
 
 
 def points_of(result: Result, joints: tuple[str, ...]) -> Iterator[tuple[float, list[Array]]]:

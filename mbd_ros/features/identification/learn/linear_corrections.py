@@ -52,7 +52,6 @@ class Columns:
     """Columns of base parameters, friction and stiffness, of the joints of a model.
 
     Args:
-        scene: The scene.
         joints: Names, in the order of the model.
         scales: Of the model.
     """

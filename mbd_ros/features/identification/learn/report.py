@@ -18,7 +18,12 @@ from mbd_ros.features.identification.learn.job import run_learn
 from mbd_ros.features.identification.learn.linear_corrections import Known
 from mbd_ros.features.identification.learn.scales import Scales
 from mbd_ros.features.identification.learn.task import Learned, Outcome, Task
-from mbd_ros.features.identification.outcome import description_of, scene_text, write_files
+from mbd_ros.features.identification.outcome import (
+    csv,
+    description_of,
+    scene_text,
+    write_files,
+)
 from mbd_ros.files.output_file import refuse_overwriting
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.progress import Say
@@ -82,7 +87,7 @@ def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: S
     except SceneError as error:
         say(f"no scene.yaml is written: {error}")
     for name, table in found.tables.items():
-        files[f"{name}.csv"] = csv(table.columns)
+        files[f"{name}.csv"] = csv(table)
     write_files(folder, files, say)
 
 
@@ -102,14 +107,6 @@ def _scene(found: Outcome) -> bytes:
     forces = [*(values.get("forces") or []), {"type": "learned_torque", "model": MODEL}]
     text: str = yaml.safe_dump({**values, "forces": forces}, sort_keys=False, width=120)
     return text.encode()
-
-
-def csv(columns: Any) -> bytes:
-    """Comma-separated values with a line of names."""
-    rows = zip(*(column.values.tolist() for column in columns), strict=True)
-    lines = [",".join(column.name for column in columns)]
-    lines += [",".join(x if isinstance(x, str) else repr(x) for x in row) for row in rows]
-    return ("\n".join(lines) + "\n").encode()
 
 
 def read_folder(folder: Path) -> Learned:
@@ -159,8 +156,8 @@ def compare_to(scene: Scene, task: Task, folder: Path, seeds: int, say: Say) -> 
     _refuse(folder, task, None)
     found = compare(scene, task, range(task.seed, task.seed + seeds), say)
     files = {
-        "comparison.csv": csv(found.summary.columns),
-        "runs.csv": csv(found.table.columns),
+        "comparison.csv": csv(found.summary),
+        "runs.csv": csv(found.table),
         "comparison.png": picture(found.summary),
     }
     write_files(folder, files, say)

@@ -107,7 +107,6 @@ class Outcome(NamedTuple):
     """What learning found.
 
     Attributes:
-        model: The model.
         content: Its ONNX file.
         scene: The scene that it stands on, without it.
         tables: `validation`: errors of what was not learned from, a joint a row.

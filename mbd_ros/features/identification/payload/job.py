@@ -13,8 +13,8 @@ from mbd_ros.core.model.inertial_parameters import (
 )
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.identification.job import run_identify
-from mbd_ros.features.identification.least_squares import stacked
+from mbd_ros.features.identification.job import LEAST_DEVIATION, run_identify
+from mbd_ros.features.identification.least_squares import rows_by_worth
 from mbd_ros.features.identification.outcome import FRICTION
 from mbd_ros.features.identification.physical_consistency import consistent
 from mbd_ros.features.identification.problem import Problem
@@ -28,7 +28,6 @@ from mbd_ros.scene.built_scene import Scene
 
 _SIZE = 0.05  # m: radius of gyration of a payload before anything is known of it
 _BESIDE = ("offset", "coulomb")  # what a known robot may have besides its own friction
-_LEAST = 1.0e-6  # of the usual torque, see `identify`
 
 
 class Payload(NamedTuple):
@@ -119,14 +118,6 @@ def payload(
     return _payload(found, nothing, carrier, told)._replace(remarks=remarks)
 
 
-class _Found(NamedTuple):
-    """Numbers in the axes of the link: by least squares, their covariance, of a body."""
-
-    numbers: Array
-    covariance: Array
-    body: Array
-
-
 def carrier_of(scene: Scene, frame: str | None) -> tuple[str, int]:
     """Link, and the place of its body among those that move.
 
@@ -148,6 +139,14 @@ def carrier_of(scene: Scene, frame: str | None) -> tuple[str, int]:
     if joint == 0:
         raise DataError(f"--frame {frame}: this link does not move")
     return frame, joint - 1
+
+
+class _Found(NamedTuple):
+    """Numbers in the axes of the link: by least squares, their covariance, of a body."""
+
+    numbers: Array
+    covariance: Array
+    body: Array
 
 
 def _fitted(scene: Scene, task: Task, place: int, frame: str, say: Say) -> _Found:
@@ -195,11 +194,9 @@ def _body(problem: Problem, found: Learned, own: Array, B: Array) -> Array:
     P = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre)) + spread * np.eye(3)
     tensor = [P[0, 0], P[0, 1], P[1, 1], P[0, 2], P[1, 2], P[2, 2]]
     ball = np.array([[mass, *(mass * centre), *tensor]])
-    worth = [np.sqrt(max(j.effective, 1.0) / max(j.rows, 1)) for j in found.joints]
-    least = np.array([_LEAST * joint.usual for joint in found.joints])
-    A, b = stacked(found.joints, fit.taken, r, np.maximum(fit.deviation, least) / np.array(worth))
-    signed = [problem.columns[i][k].term != "offset" for i, t in enumerate(fit.taken) for k in t]
-    nearest = consistent(A, b, own, ball, np.array(signed, dtype=np.bool_))
+    least = np.array([LEAST_DEVIATION * joint.usual for joint in found.joints])
+    A, b, is_signed = rows_by_worth(found.joints, fit, r, least)
+    nearest = consistent(A, b, own, ball, is_signed)
     numbers: Array = B @ nearest.inertial[0]
     return numbers
 
