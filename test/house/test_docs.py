@@ -17,7 +17,7 @@ from scipy.integrate import simpson
 from mbd_ros.applications.report.headlines import BEGIN, END
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.features.tools.completion_scripts import all_words
+from mbd_ros.features.tools.completion import all_words
 from mbd_ros.files import formats
 from mbd_ros.files.table import Column, Result, Table
 

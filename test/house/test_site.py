@@ -9,7 +9,7 @@ from urllib.parse import unquote
 import pytest
 from places import ROOT
 
-from mbd_ros.features.tools.completion_scripts import all_words
+from mbd_ros.features.tools.completion import all_words
 from mbd_ros.nodes.table import NODES
 from mbd_ros.scene.schema.registry import PARTS
 

@@ -27,15 +27,12 @@ TORQUES, CONSTRAINT_FORCES = f"{NODE}/joint_torques", f"{NODE}/constraint_forces
 JOINT_STATE, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
 ODOMETRY = "nav_msgs/msg/Odometry"
 CLASSES = {JOINT_STATE: JointState, WRENCH: WrenchStamped, ODOMETRY: Odometry}
-_START_TIMEOUT, _ANSWER_TIMEOUT = 30.0, 2.0  # s
+_START_TIMEOUT = 30.0  # [s] until the node must be active
+_ANSWER_TIMEOUT = 2.0  # [s] without an answer, after which joint states count as lost
 _IN_FLIGHT = 100  # joint states; the node's queue is deeper
 _PATIENCE = 0.05  # [s] that a signal waits at most: an executor does not wake up for one
 _CLOCK_PERIOD = 10_000_000  # ns of the bag
-_DEEP = QoSProfile(depth=1000)
-
-
-class ReplayError(MbdError):
-    """The replay cannot be what was asked for, or the node failed."""
+_DEEP = QoSProfile(depth=1000)  # nothing is lost in queues
 
 
 class BagPlayer:
@@ -182,3 +179,7 @@ class BagPlayer:
         for health in read_diagnostics(message):
             if health.name == NODE:
                 self._state, self._health = health.values.get("state", ""), health.message
+
+
+class ReplayError(MbdError):
+    """The replay cannot be what was asked for, or the node failed."""
