@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.kinematics.poses import IndependentCoordinates
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, ModelError, SolveError
@@ -26,6 +26,8 @@ from mbd_ros.methods.control.tracking_plan import IndependentSlopes, TrackingPla
 from mbd_ros.methods.events.crossings import Crossing
 from mbd_ros.motion.recordings import Source, read_motion
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.phased_systems import build_phased_system
+from mbd_ros.scene.runs.simulation import build_simulation
 
 _RICCATI_STEP = 0.1  # length of a step times the size of the Hamiltonian matrix: errors of 1e-7
 _RICCATI_RESIDUAL = 1.0e-6  # share of the Hamiltonian matrix that the steady equation may leave
@@ -126,7 +128,7 @@ def _system(scene: Scene) -> Any:
     from mbd_ros.scene.runs.compiling import compiled_system
 
     if scene.phases:
-        return scene.phased_system().systems[0]
+        return build_phased_system(scene).systems[0]
     try:
         return compiled_system(scene)
     except ModelError:
@@ -154,7 +156,7 @@ def crossings_of(scene: Scene) -> tuple[Crossing, ...]:
     """Numbers of the forces of held contacts, positive while they push and stick."""
     if not scene.phases:
         return ()
-    return tuple(one.crossing for one in scene.phased_system().phases[0].demands)
+    return tuple(one.crossing for one in build_phased_system(scene).phases[0].demands)
 
 
 def _usual_efforts(u: Array, limits: Array) -> Array:
@@ -224,7 +226,7 @@ def strike_slope(
     Raises:
         DataError: The motion does not begin anew at its end.
     """
-    simulation, first = scene.simulation(), states[-BEFORE]
+    simulation, first = build_simulation(scene), states[-BEFORE]
     d = len(slopes.chosen)
 
     def after(e: Array) -> Array:

@@ -14,7 +14,9 @@ from mbd_ros.methods.sensitivities.flow import Segment, Travel
 from mbd_ros.methods.sensitivities.simulated_flow import EndsCycle, SimulatedFlow
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.schema.nearest import nearest
+from mbd_ros.scene.variants import with_inertias, with_numbers, with_sections
 
 SLOPE = "slope"
 _KEPT = 8  # flows: those of a step of a continuation
@@ -41,7 +43,7 @@ class SceneFamily:
         """
         if self._parameter == SLOPE:
             return self._sloping(self._gravity(value))
-        return self.scene.with_({self._parameter: value})
+        return with_numbers(self.scene, {self._parameter: value})
 
     def flow(self, value: float | None = None) -> SimulatedFlow:
         """The motion at a value of the parameter; None for the scene as it is."""
@@ -74,11 +76,11 @@ class SceneFamily:
         """The scene with another gravity, where it states its own one, and the same inertias."""
         robot = self.scene.entries.get("robot") or {}
         if "gravity" in robot:
-            scene = self.scene.with_(robot={**robot, "gravity": gravity})
+            scene = with_sections(self.scene, robot={**robot, "gravity": gravity})
         else:
-            scene = self.scene.with_(gravity=gravity)
+            scene = with_sections(self.scene, gravity=gravity)
         changed = any(recipe.inertias for recipe in self.scene.robot.recipes)
-        return scene.with_inertias(self.scene.robot.inertias()) if changed else scene
+        return with_inertias(scene, self.scene.robot.inertias()) if changed else scene
 
     def _turned(self) -> tuple[float, float, float]:
         """Gravity along the downhill direction, 0, and along the normal [m/s^2]."""
@@ -107,7 +109,7 @@ def flow_of(scene: Scene, task: GaitTask) -> SimulatedFlow:
         SceneError: Nothing in it ends a cycle; names what there is.
     """
     solver = {"type": scene.solver.tier, "backend": scene.solver.backend}
-    plain = scene.simulation(integrator=task.integrator, solver=solver)
+    plain = build_simulation(scene, integrator=task.integrator, solver=solver)
     parts = plain.system, plain.integrator, plain.stabilization, plain.dt
     joints = [joint.v for joint in scene.robot.joints if joint.kind != "prismatic"]
     numbers = plain.system.integrated(np.arange(float(scene.robot.model.nv)))

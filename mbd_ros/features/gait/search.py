@@ -16,6 +16,7 @@ from mbd_ros.jobs.progress import Say, progress
 from mbd_ros.methods.sensitivities.flow import Segment, Travel
 from mbd_ros.methods.sensitivities.simulated_flow import SimulatedFlow
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.variants import with_sections
 
 Start = Mapping[str, float]
 """Values of `<joint>.position` and `<joint>.velocity`."""
@@ -106,7 +107,7 @@ def guesses(scene: Scene, task: GaitTask, flow: SimulatedFlow) -> Iterator[State
             yield flow.started(scene.initial)
             continue
         try:
-            yield flow.started(scene.with_(initial=_merged(initial, guess)).initial)
+            yield flow.started(with_sections(scene, initial=_merged(initial, guess)).initial)
         except SceneError as error:
             raise SceneError(f"{task.source}: gait.guesses[{i}]: {error}") from error
     if task.search:

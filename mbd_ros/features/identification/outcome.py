@@ -42,6 +42,7 @@ from mbd_ros.files.table import Column as TableColumn
 from mbd_ros.files.table import Table
 from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.variants import with_inertias, with_sections
 
 FRICTION = ("joint_friction", "gear_friction")  # what is found anew
 _WIDTH = 140  # of lines of YAML
@@ -335,18 +336,18 @@ def identified_scene(
     scene: Scene, inertias: Mapping[str, Any], friction: Sequence[Mapping[str, Any]]
 ) -> Scene:
     """The scene with other inertias and friction."""
-    found = scene.with_inertias(inertias)
+    found = with_inertias(scene, inertias)
     if not friction:
         return found
     forces = [*(scene.entries.get("forces") or []), *(dict(entry) for entry in friction)]
-    return found.with_(forces=forces)
+    return with_sections(found, forces=forces)
 
 
 def without_friction(scene: Scene) -> Scene:
     """The scene without the friction of its joints."""
     given = scene.entries.get("forces") or []
     kept = [entry for entry in given if entry.get("type") not in FRICTION]
-    return scene if len(kept) == len(given) else scene.with_(forces=kept)
+    return scene if len(kept) == len(given) else with_sections(scene, forces=kept)
 
 
 def description_of(scene: Scene) -> str:
