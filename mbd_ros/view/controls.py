@@ -1,204 +1,35 @@
-"""The panel of the page: its fields, runs again, pictures."""
+"""The panel of the page: fields, pictures and films.
+
+Texts of others are values of fields, which are never read as HTML. Pictures and films are what a
+browser shows, as files that it downloads.
+"""
+
+from __future__ import annotations
 
 import io
 import time
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from mbd_ros.errors import DataError, SceneError, install_hint, printable
-from mbd_ros.features.simulation.job import Interrupted, simulate
-from mbd_ros.files.table import Result
+from mbd_ros.errors import install_hint, printable
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.variants import found_place, places_of, with_numbers, with_sections
 from mbd_ros.view.curves import ALL, MOST, QUANTITIES, MotionCurves, Plot, cursor
 from mbd_ros.view.drawing import Drawing
+from mbd_ros.view.frames import joint_indices
 from mbd_ros.view.motion import ViewedMotion
-
-# ---- rerun ------------------------------------------------------------------------------------
-# Running a scene again from another start and with other numbers.
-
-
-_TURN = 3.14  # rad: reach of a joint without limits
-_MOST = 12  # joints with a slider
-
-
-class Rerun:
-    """What may be changed of a scene, and the run with it.
-
-    Args:
-        scene: The scene as it is.
-        named: Numbers to change, `<part>.<argument>`.
-
-    Attributes:
-        starts: Independent joint -> first position, lowest and highest [rad or m].
-        numbers: Number -> value, lowest and highest.
-
-    Raises:
-        SceneError: There is no such number.
-    """
-
-    def __init__(self, scene: Scene, named: Sequence[str] = ()) -> None:
-        self._scene, self._duration = scene, 2.0
-        self.starts = {
-            joint.name: _ranged(float(scene.initial.q[joint.q]), joint.lower, joint.upper)
-            for joint in scene.robot.joints
-            if joint.name in scene.couplings.independent
-        }
-        self.starts = dict(list(self.starts.items())[:_MOST])
-        self.numbers = {name: self._number(name) for name in named}
-
-    @property
-    def duration(self) -> float:
-        """Of a run [s]."""
-        return self._duration
-
-    @duration.setter
-    def duration(self, value: float) -> None:
-        if not 0.0 < value < np.inf:
-            raise DataError(f"--time {value:g}: accepted are finite times > 0")
-        self._duration = value
-
-    def _number(self, name: str) -> tuple[float, float, float]:
-
-        place, path = found_place(self._scene.origin.changed(), places_of(self._scene), name)
-        value: Any = self._scene.entries[place.section]
-        if place.at is not None:
-            value = value[place.at]
-        for key in path:
-            value = value.get(key) if isinstance(value, Mapping) else None
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise SceneError(f"{self._scene.name}: {name} is no single number of the file")
-        ends = sorted((0.0, 2.0 * value)) if value else (-1.0, 1.0)
-        return float(value), *map(float, ends)
-
-    def run(self, wishes: Mapping[str, float]) -> tuple[Scene, Result, list[str]]:
-        """Run the scene with other numbers.
-
-        Args:
-            wishes: Value of each of `starts` and `numbers` that differs.
-
-        Returns:
-            The scene that ran, its result, and lines for people.
-
-        Raises:
-            MbdError: The scene does not accept the numbers, or has no consistent start.
-        """
-        scene = self._scene
-        numbers = {name: wishes[name] for name in self.numbers if name in wishes}
-        if numbers:
-            scene = with_numbers(scene, numbers)
-        starts = {name: wishes[name] for name in self.starts if name in wishes}
-        if starts:
-            initial = dict(scene.entries.get("initial") or {})
-            initial["position"] = {**(initial.get("position") or {}), **starts}
-            scene = with_sections(scene, initial=initial)
-        said = list[str]()
-        try:
-            return scene, simulate(scene, self._duration, say=said.append), said
-        except Interrupted as error:
-            if error.result is None:
-                raise
-            return scene, error.result, [*said, str(error)]
-
-
-def _ranged(value: float, lower: float, upper: float) -> tuple[float, float, float]:
-    low = lower if np.isfinite(lower) else value - _TURN
-    high = upper if np.isfinite(upper) else value + _TURN
-    return value, min(low, value), max(high, value)
-
-
-# ---- pictures ---------------------------------------------------------------------------------
-# A picture and a film of what a browser shows, as files that it downloads.
-
-
-_HEIGHT, _WIDTH = 720, 1280
-_RATE = 30  # images a second of a film
-_FEWEST, _PICTURES_MOST = 30, 300  # images of a film: a longer motion is shown faster
-_WAIT = 0.01  # s, until another look at what is drawn
-_PATIENCE = 20.0  # s, for an image of a browser
-
-
-def picture(client: Any, controls: "Controls") -> None:
-    """Send a browser the picture that it shows, a .png."""
-    _send(client, controls, "view.png", lambda: png(_image(client, "png")))
-
-
-def film(client: Any, controls: "Controls") -> None:
-    """Send a browser the motion at the speed at which it plays, an .mp4."""
-    controls.plays = False
-    count = round(controls.end / controls.speed * _RATE)
-    times = np.linspace(0.0, controls.end, min(max(count, _FEWEST), _PICTURES_MOST)).tolist()
-    _send(client, controls, "view.mp4", lambda: mp4(_images(client, controls, times)))
-
-
-def _send(client: Any, controls: "Controls", name: str, make: Any) -> None:
-    """Make a file and send it, or say why not."""
-    try:
-        client.send_file_download(name, make(), save_immediately=True)
-    except TimeoutError:
-        controls.say([f"{name}: the browser sends no images"])
-    except ImportError as error:
-        controls.say([f"{name}: {install_hint(error.name or '') or error}"])
-
-
-def _image(client: Any, transport: str) -> Any:
-    return client.get_render(_HEIGHT, _WIDTH, transport_format=transport, timeout=_PATIENCE)
-
-
-def _images(client: Any, controls: "Controls", times: Iterable[float]) -> Iterable[Any]:
-    for now in times:
-        controls.now = now
-        end = time.monotonic() + _PATIENCE
-        while controls.reached != controls.now and time.monotonic() < end:
-            time.sleep(_WAIT)
-        yield _image(client, "jpeg")
-
-
-def png(image: Any) -> bytes:
-    """A picture as a file.
-
-    Args:
-        image: Shape (height, width, 3 or 4), uint8.
-    """
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(np.asarray(image, dtype=np.uint8)).save(file, "PNG")
-    return file.getvalue()
-
-
-def mp4(images: Iterable[Any]) -> bytes:
-    """A film as a file, H.264 at 30 images a second.
-
-    Args:
-        images: At least one, all of one shape (height, width, 3 or 4), uint8, both sizes even.
-    """
-    import av  # of the extra `view`
-
-    file, stream = io.BytesIO(), None
-    with av.open(file, "w", format="mp4") as container:
-        for image in images:
-            pixels = np.ascontiguousarray(image[..., :3], dtype=np.uint8)
-            if stream is None:
-                stream = container.add_stream("libx264", rate=Fraction(_RATE))
-                stream.height, stream.width = pixels.shape[:2]
-                stream.pix_fmt = "yuv420p"
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
-        if stream is not None:
-            container.mux(stream.encode())
-    return file.getvalue()
-
-
-# ---- controls ---------------------------------------------------------------------------------
-# The panel of the page; texts of others are values of fields, which are never read as HTML.
-
+from mbd_ros.view.rerun import Rerun
 
 _STEPS = 1000  # of a slider
 _NOBODY = "nobody"
+_HEIGHT, _WIDTH = 720, 1280
+_RATE = 30  # images a second of a film
+_FEWEST, _MOST = 30, 300  # images of a film: a longer motion is shown faster
+_WAIT = 0.01  # s, until another look at what is drawn
+_PATIENCE = 20.0  # s, for an image of a browser
 
 
 class Controls:
@@ -215,10 +46,7 @@ class Controls:
 
     def __init__(self, server: Any, scene: Scene, rerun: Rerun) -> None:
         self._server, self._gui, self.rerun = server, server.gui, rerun
-        joints, model = scene.robot.joints, scene.robot.model
-        at_v = {int(j.idx_v): i for i, j in enumerate(model.joints) if i and j.nv == 1}
-        self._indices = {joint.name: at_v[joint.v] for joint in joints}
-        self._indices |= {base.name: base.joint for base in scene.robot.bases}
+        self._indices = joint_indices(scene.robot)
         self._names = {index: name for name, index in self._indices.items()}
         self._asks, self.reached = False, 0.0
         self._seen: tuple[Any, ...] = ()
@@ -388,3 +216,74 @@ class Controls:
 
     def _on_film(self, event: Any) -> None:
         film(event.client, self)
+
+
+def picture(client: Any, controls: Controls) -> None:
+    """Send a browser the picture that it shows, a .png."""
+    _send(client, controls, "view.png", lambda: png(_image(client, "png")))
+
+
+def _send(client: Any, controls: Controls, name: str, make: Any) -> None:
+    """Make a file and send it, or say why not."""
+    try:
+        client.send_file_download(name, make(), save_immediately=True)
+    except TimeoutError:
+        controls.say([f"{name}: the browser sends no images"])
+    except ImportError as error:
+        controls.say([f"{name}: {install_hint(error.name or '') or error}"])
+
+
+def png(image: Any) -> bytes:
+    """A picture as a file.
+
+    Args:
+        image: Shape (height, width, 3 or 4), uint8.
+    """
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(np.asarray(image, dtype=np.uint8)).save(file, "PNG")
+    return file.getvalue()
+
+
+def _image(client: Any, transport: str) -> Any:
+    return client.get_render(_HEIGHT, _WIDTH, transport_format=transport, timeout=_PATIENCE)
+
+
+def film(client: Any, controls: Controls) -> None:
+    """Send a browser the motion at the speed at which it plays, an .mp4."""
+    controls.plays = False
+    count = round(controls.end / controls.speed * _RATE)
+    times = np.linspace(0.0, controls.end, min(max(count, _FEWEST), _MOST)).tolist()
+    _send(client, controls, "view.mp4", lambda: mp4(_images(client, controls, times)))
+
+
+def mp4(images: Iterable[Any]) -> bytes:
+    """A film as a file, H.264 at 30 images a second.
+
+    Args:
+        images: At least one, all of one shape (height, width, 3 or 4), uint8, both sizes even.
+    """
+    import av  # of the extra `view`
+
+    file, stream = io.BytesIO(), None
+    with av.open(file, "w", format="mp4") as container:
+        for image in images:
+            pixels = np.ascontiguousarray(image[..., :3], dtype=np.uint8)
+            if stream is None:
+                stream = container.add_stream("libx264", rate=Fraction(_RATE))
+                stream.height, stream.width = pixels.shape[:2]
+                stream.pix_fmt = "yuv420p"
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(pixels, format="rgb24")))
+        if stream is not None:
+            container.mux(stream.encode())
+    return file.getvalue()
+
+
+def _images(client: Any, controls: Controls, times: Iterable[float]) -> Iterable[Any]:
+    for now in times:
+        controls.now = now
+        end = time.monotonic() + _PATIENCE
+        while controls.reached != controls.now and time.monotonic() < end:
+            time.sleep(_WAIT)
+        yield _image(client, "jpeg")

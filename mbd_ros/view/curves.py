@@ -1,17 +1,16 @@
-"""Curves of a motion, of its last seconds, and their panel."""
+"""Curves of a motion by joint, of the last seconds of a robot that moves, and their panel."""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.motion import BALANCE, ViewedMotion
-
-# ---- curves -----------------------------------------------------------------------------------
-# What is plotted of a motion: curves by joint, with a cursor, and the values of a joint.
-
 
 MOST_POINTS = 1000  # of a curve: more is not to be seen
 ALL = "all joints"
@@ -25,24 +24,11 @@ QUANTITIES = (
     "energy",
     "drift",
 )
-
-
-class Curves(NamedTuple):
-    """Curves over time.
-
-    Attributes:
-        times: [s], shape (n,).
-        names: One a curve.
-        values: Shape (n, len(names)), finite.
-    """
-
-    times: Array
-    names: tuple[str, ...]
-    values: Array
-
-    def first(self, count: int) -> "Curves":
-        """The first curves, so many at most."""
-        return Curves(self.times, self.names[:count], self.values[:, :count])
+LIVE_QUANTITIES = ("position", "velocity", "effort", "torque", "multipliers", "loads")
+_BY_JOINT = LIVE_QUANTITIES[:4]
+_COLOURS = ("#c0392b", "#2471a3", "#1e8449", "#b9770e", "#6c3483", "#117a65", "#839192", "#d35400")
+MOST = 12  # curves at once: more are not told apart
+_HEIGHT = 220  # px
 
 
 class MotionCurves:
@@ -57,10 +43,7 @@ class MotionCurves:
     def __init__(self, scene: Scene, motion: ViewedMotion, rows: tuple[str, ...]) -> None:
         robot, count = scene.robot, len(motion.times)
         self._motion, self._joints = motion, robot.joints
-        self._names = [(j.name, j.name) for j in robot.joints]
-        self._names += [(b.name, f"{b.name}.{axis}") for b in robot.bases for axis in "xyz"]
-        at_q = [j.q for j in robot.joints] + [b.q.start + i for b in robot.bases for i in range(3)]
-        at_v = [j.v for j in robot.joints] + [b.v.start + i for b in robot.bases for i in range(3)]
+        self._names, at_q, at_v = _plotted(robot)
         v = np.array([x.v for x in motion.states]).reshape(count, -1)[:, at_v]
         none = np.full((count, 3 * len(robot.bases)), np.nan)
         efforts = np.hstack((motion.efforts, none))
@@ -111,27 +94,33 @@ class MotionCurves:
         return lines
 
 
-def cursor(curves: Curves, now: float) -> Array:
-    """A curve that stands upright at a time: at the lower edge before it, at the upper one after.
+def _plotted(robot: Robot) -> tuple[list[tuple[str, str]], list[int], list[int]]:
+    """Joint or free body and name of each curve, and where its values stand in q and in v."""
+    names = [(joint.name, joint.name) for joint in robot.joints]
+    names += [(base.name, f"{base.name}.{axis}") for base in robot.bases for axis in "xyz"]
+    at_q = [joint.q for joint in robot.joints]
+    at_q += [base.q.start + i for base in robot.bases for i in range(3)]
+    at_v = [joint.v for joint in robot.joints]
+    at_v += [base.v.start + i for base in robot.bases for i in range(3)]
+    return names, at_q, at_v
 
-    Args:
-        curves: What it is drawn beside.
-        now: The time [s].
+
+class Curves(NamedTuple):
+    """Curves over time.
+
+    Attributes:
+        times: [s], shape (n,).
+        names: One a curve.
+        values: Shape (n, len(names)), finite.
     """
-    low = float(curves.values.min(initial=0.0))
-    high = float(curves.values.max(initial=0.0))
-    upright = np.where(curves.times <= now, low, high if high > low else low + 1.0)
-    upright[0], upright[-1] = low, high if high > low else low + 1.0  # at both ends, too
-    return upright
 
+    times: Array
+    names: tuple[str, ...]
+    values: Array
 
-# ---- plot -------------------------------------------------------------------------------------
-# Curves in the panel of a page.
-
-
-_COLOURS = ("#c0392b", "#2471a3", "#1e8449", "#b9770e", "#6c3483", "#117a65", "#839192", "#d35400")
-MOST = 12  # curves at once: more are not told apart
-_HEIGHT = 220  # px
+    def first(self, count: int) -> Curves:
+        """The first curves, so many at most."""
+        return Curves(self.times, self.names[:count], self.values[:, :count])
 
 
 class Plot:
@@ -191,37 +180,18 @@ class Plot:
             )
 
 
-# ---- live curves ------------------------------------------------------------------------------
-# The last seconds of a robot: what is plotted while it moves.
+def cursor(curves: Curves, now: float) -> Array:
+    """A curve that stands upright at a time: at the lower edge before it, at the upper one after.
 
-
-LIVE_QUANTITIES = ("position", "velocity", "effort", "torque", "multipliers", "loads")
-_BY_JOINT = LIVE_QUANTITIES[:4]
-
-
-class LiveSample(NamedTuple):
-    """What is known of a robot at a time.
-
-    Attributes:
-        time: From the first sample on [s].
-        state: Of all joints; internal states are NaN where unknown.
-        efforts: Measured effort of each joint, NaN where unknown, shape (joints,).
-        torques: Computed torque of each joint, NaN where unknown, shape (joints,).
-        multipliers: Of all rows, NaN where unknown, shape (m,).
-        loads: Where measured loads act, less `Robot.origin` [m], and their forces [N], NaN where
-            unknown, shape (k, 2, 3).
-        points: Places of markers, less `Robot.origin` [m], shape (n, 3).
-        lines: Begin and end of lines and arrows among the markers, the same, shape (m, 2, 3).
+    Args:
+        curves: What it is drawn beside.
+        now: The time [s].
     """
-
-    time: float
-    state: State
-    efforts: Array
-    torques: Array
-    multipliers: Array
-    loads: Array
-    points: Array
-    lines: Array
+    low = float(curves.values.min(initial=0.0))
+    high = float(curves.values.max(initial=0.0))
+    upright = np.where(curves.times <= now, low, high if high > low else low + 1.0)
+    upright[0], upright[-1] = low, high if high > low else low + 1.0  # at both ends, too
+    return upright
 
 
 class LiveCurves:
@@ -239,14 +209,7 @@ class LiveCurves:
     ) -> None:
         robot = scene.robot
         self._joints, self._count = robot.joints, count
-        self._owners = [(j.name, j.name) for j in robot.joints]
-        self._owners += [(b.name, f"{b.name}.{axis}") for b in robot.bases for axis in "xyz"]
-        self._q = [j.q for j in robot.joints] + [
-            b.q.start + i for b in robot.bases for i in range(3)
-        ]
-        self._v = [j.v for j in robot.joints] + [
-            b.v.start + i for b in robot.bases for i in range(3)
-        ]
+        self._owners, self._q, self._v = _plotted(robot)
         self._none = np.full(3 * len(robot.bases), np.nan)
         names = tuple(name for _, name in self._owners)
         self._names = {**dict.fromkeys(_BY_JOINT, names), "multipliers": rows, "loads": loads}
@@ -305,3 +268,28 @@ class LiveCurves:
             if np.isfinite(numbers).all():
                 lines.append(f"{name} {' '.join(f'{n:.6g}' for n in numbers)} {its}")
         return lines
+
+
+class LiveSample(NamedTuple):
+    """What is known of a robot at a time.
+
+    Attributes:
+        time: From the first sample on [s].
+        state: Of all joints; internal states are NaN where unknown.
+        efforts: Measured effort of each joint, NaN where unknown, shape (joints,).
+        torques: Computed torque of each joint, NaN where unknown, shape (joints,).
+        multipliers: Of all rows, NaN where unknown, shape (m,).
+        loads: Where measured loads act, less `Robot.origin` [m], and their forces [N], NaN where
+            unknown, shape (k, 2, 3).
+        points: Places of markers, less `Robot.origin` [m], shape (n, 3).
+        lines: Begin and end of lines and arrows among the markers, the same, shape (m, 2, 3).
+    """
+
+    time: float
+    state: State
+    efforts: Array
+    torques: Array
+    multipliers: Array
+    loads: Array
+    points: Array
+    lines: Array

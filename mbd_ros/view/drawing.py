@@ -1,260 +1,22 @@
-"""A scene drawn in a `viser` scene: solids, and the motion that they follow."""
+"""A scene drawn in a `viser` scene: solids, the motion that they follow, and the ground."""
 
-import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Any, NamedTuple
-from xml.etree import ElementTree
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from mbd_ros.core.geometry import shapes
-from mbd_ros.core.geometry.contact_pair import ContactPair
-from mbd_ros.core.geometry.shapes import Side
-from mbd_ros.core.model.points import rotation_matrix
-from mbd_ros.core.model.robot import Recipe, Robot
-from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.state import Array
-from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.reading.contact_entries import Collision, geometry_of, names_of_link
-from mbd_ros.view import surfaces
-from mbd_ros.view.frames import (
-    Drawn,
-    Frames,
-    Ground,
-    arrow_ends,
-    cone_lines,
-    largest,
-    length_per,
-    size_of,
-    upright,
-)
+from mbd_ros.view.frames import Drawn, Frames, arrow_ends, cone_lines, largest, length_per, upright
 from mbd_ros.view.motion import ViewedMotion, still
-from mbd_ros.view.surfaces import Surface
+from mbd_ros.view.solids import Solid, box_around, solids_of_scene
 
-# ---- solids -----------------------------------------------------------------------------------
-# What links look like: their `<visual>` geometry, or bones where there is none to draw.
-
-
-GREY, BONE = (160, 169, 181), (206, 187, 148)  # red, green, blue
-_SHORTEST = 1.0e-4  # m, of a bone
-_THIN = 0.03  # half a bone of the base, as a share of its length
-
-
-class Solid(NamedTuple):
-    """A surface that travels with a joint.
-
-    Attributes:
-        link: Name of the link in the scene.
-        joint: Index in the model of the joint that carries it, 0 at rest.
-        surface: In axes of that joint.
-        colour: Red, green and blue, 0 .. 255.
-        is_inertia: Whether it stands for an inertia, and hides nothing.
-        is_ground: Whether it is a piece of what has no end.
-    """
-
-    link: str
-    joint: int
-    surface: Surface
-    colour: tuple[int, int, int]
-    is_inertia: bool = False
-    is_ground: bool = False
-
-
-class _Link(NamedTuple):
-    """A link of a description.
-
-    Attributes:
-        recipe: What it is from.
-        element: The `<link>`.
-        name: In the scene.
-        joint: Index in the model of the joint that carries it.
-        at: `pinocchio.SE3` of the link in the frame of that joint.
-    """
-
-    recipe: Recipe
-    element: ElementTree.Element
-    name: str
-    joint: int
-    at: Any
-
-
-def solids_of(robot: Robot) -> tuple[list[Solid], list[str]]:
-    """All links of a robot, and a line on every mesh or geometry that cannot be drawn.
-
-    Returns:
-        The solids; and the lines, each file once.
-    """
-    solids, lacking = list[Solid](), dict[str, None]()
-    inertias = robot.inertias()
-    for recipe in robot.recipes:
-        tree = parse_urdf(recipe.text, recipe.source)
-        colours = _colours(tree)
-        for link in _links(robot, recipe, tree):
-            drawn, faults = _visuals(link, colours)
-            lacking.update(dict.fromkeys(faults))
-            solids += drawn or _bones(tree, link, inertias.get(link.name))
-    return solids, list(lacking)
-
-
-def _links(robot: Robot, recipe: Recipe, tree: ElementTree.Element) -> Iterator[_Link]:
-    for element in tree.findall("link"):
-        name = names_of_link(recipe, tree, element.get("name", ""))[0]
-        frame = robot.model.frames[robot.frame(name)]
-        yield _Link(recipe, element, name, int(frame.parentJoint), frame.placement)
-
-
-def _visuals(link: _Link, colours: dict[str, Any]) -> tuple[list[Solid], list[str]]:
-    solids, faults = list[Solid](), list[str]()
-    if link.recipe.shape is not None:
-        shape = Collision(*link.recipe.shape, [0.0] * 3, [0.0] * 3)
-        return [_placed(link, shape, _surface(shape, link.name), GREY)], faults
-    for i, element in enumerate(link.element.findall("visual")):
-        where = f"{link.recipe.source}: {link.name}: <visual> {i}"
-        try:
-            shape = geometry_of(link.recipe, _beside_its_package(link.recipe, element), where)
-            surface = _surface(shape, where)
-        except SceneError as error:
-            faults.append(_once(element, str(error)))
-            continue
-        solids.append(_placed(link, shape, surface, _colour(element, colours)))
-    return solids, faults
-
-
-def _once(element: ElementTree.Element, error: str) -> str:
-    """The line of a mesh, the same for all links that show it."""
-    mesh = element.find("geometry/mesh")
-    name = "" if mesh is None else mesh.get("filename", "")
-    return f"{name}: not found or no mesh, drawn as a bone" if name else f"{error}: not drawn"
-
-
-def _beside_its_package(recipe: Recipe, element: ElementTree.Element) -> ElementTree.Element:
-    """The element with the path of its mesh, where that is in the package of the description."""
-    mesh = element.find("geometry/mesh")
-    name = "" if mesh is None else mesh.get("filename", "")
-    package, _, rest = name.removeprefix("package://").partition("/")
-    if mesh is None or not name.startswith("package://") or ".." in Path(rest).parts:
-        return element
-    for folder in Path(recipe.source).absolute().parents:
-        if folder.name == package and (folder / rest).is_file():
-            mesh.set("filename", str(folder / rest))
-    return element
-
-
-def _placed(link: _Link, shape: Collision, surface: Surface, colour: Any) -> Solid:
-    at = link.at * pin.SE3(rotation_matrix(shape.rpy), np.array(shape.xyz))
-    return Solid(link.name, link.joint, moved(surface, at), colour)
-
-
-def moved(surface: Surface, at: Any) -> Surface:
-    """A surface at a `pinocchio.SE3`."""
-    vertices = surface.vertices @ at.rotation.T + at.translation
-    return surface._replace(vertices=vertices.astype(np.float32))
-
-
-def _surface(shape: Collision, where: str) -> Surface:
-    """Triangles of a geometry."""
-    if shape.kind == "box":
-        return surfaces.box(shape.size)
-    if shape.kind == "sphere":
-        return surfaces.sphere(shape.size)
-    if shape.kind in ("cylinder", "capsule"):
-        return getattr(surfaces, shape.kind)(**shape.size)
-    from mbd_ros.view.meshes import mesh_surface
-
-    size = shape.size if isinstance(shape.size, dict) else {"file": shape.size}
-    return mesh_surface(Path(size["file"]), size.get("scale", (1.0, 1.0, 1.0)), where)
-
-
-def _bones(tree: ElementTree.Element, link: _Link, inertia: Any) -> list[Solid]:
-    """From the origin of a link to its joints, and the box of its inertia."""
-    ends, name = list[Any](), link.element.get("name")
-    for joint in tree.findall("joint"):
-        parent, origin = joint.find("parent"), joint.find("origin")
-        if parent is not None and parent.get("link") == name and origin is not None:
-            ends.append(np.array([float(w) for w in origin.get("xyz", "0 0 0").split()]))
-    if inertia is not None and not ends:
-        ends.append(inertia.lever * 2.0)  # a last link is about as long
-    long = [end for end in ends if np.linalg.norm(end) > _SHORTEST]
-    thickness = {} if link.joint else {"thickness": _THIN}
-    bones = [moved(surfaces.bone(end, **thickness), link.at) for end in long]
-    solids = [Solid(link.name, link.joint, bone, BONE) for bone in bones]
-    if inertia is not None and inertia.mass > 0.0:
-        size, axes = equal_box(inertia)
-        if size.max() > _SHORTEST:
-            box = moved(surfaces.box(size), link.at * pin.SE3(axes, inertia.lever))
-            solids.append(Solid(link.name, link.joint, box, BONE, is_inertia=True))
-    return solids
-
-
-def equal_box(inertia: Any) -> tuple[Any, Any]:
-    """The even box with a mass and moments of inertia.
-
-    Its sides are a_x^2 = 6 (I_y + I_z - I_x) / m and so on in turn, 0 where that is negative.
-
-    Args:
-        inertia: `pinocchio.Inertia` with a mass > 0.
-
-    Returns:
-        Sides [m], shape (3,), and axes of the box as columns, shape (3, 3).
-    """
-    moments, axes = np.linalg.eigh(inertia.inertia)
-    axes[:, 2] *= np.linalg.det(axes)
-    squares = 6.0 * (moments.sum() - 2.0 * moments) / inertia.mass
-    return np.sqrt(np.maximum(squares, 0.0)), axes
-
-
-def _colours(tree: ElementTree.Element) -> dict[str, tuple[int, int, int]]:
-    found = ((m.get("name", ""), _rgb(m)) for m in tree.findall("material"))
-    return {name: colour for name, colour in found if colour is not None}
-
-
-def _colour(element: ElementTree.Element, known: dict[str, Any]) -> tuple[int, int, int]:
-    material = element.find("material")
-    if material is None:
-        return GREY
-    return _rgb(material) or known.get(material.get("name", ""), GREY)
-
-
-def _rgb(material: ElementTree.Element) -> tuple[int, int, int] | None:
-    """Colour of a material; None where it gives none that can be read."""
-    colour = material.find("color")
-    words = () if colour is None else colour.get("rgba", "").split()
-    try:
-        values = [float(word) for word in words[:3]]
-    except ValueError:
-        return None
-    if len(values) < 3 or not all(map(math.isfinite, values)):
-        return None
-    r, g, b = (round(255 * min(max(value, 0.0), 1.0)) for value in values)
-    return r, g, b
-
-
-def box_around(solids: Sequence[Solid], poses: Array) -> tuple[Array, Array]:
-    """Least and greatest corner of the box around all solids [m], each of shape (3,).
-
-    Args:
-        solids: What there is; without any the box is around the joints and the origin.
-        poses: As those of `Drawn`, shape (njoints, 7).
-    """
-    bounded = [solid for solid in solids if not solid.is_ground]
-    corners = [] if bounded else [poses[1:, :3], np.zeros((1, 3))]
-    for solid in bounded:
-        pose = poses[solid.joint]
-        w, xyz = pose[3], pose[4:]
-        points = solid.surface.vertices
-        cross = np.cross(xyz, points)
-        corners.append(points + 2.0 * (w * cross + np.cross(xyz, cross)) + pose[:3])
-    every = np.concatenate(corners)
-    return every.min(axis=0), every.max(axis=0)
-
-
-# ---- stage ------------------------------------------------------------------------------------
-# The three-dimensional half of the page: nodes that are made once and moved by a frame.
-
-
+FORCES = ("forces", "reactions")
+MOMENTS = ("moments", "reaction moments")
+_FARTHEST = 5.0  # sizes of the robot that a camera steps back for its motion
+_LOOKED_AT = 20  # samples whose forces give the lengths of arrows
 COLOURS = {  # of arrows
     "forces": (235, 85, 0),
     "moments": (170, 0, 150),
@@ -264,6 +26,118 @@ COLOURS = {  # of arrows
 CONE, MARKER, GHOST = (120, 90, 200), (20, 140, 140), (110, 160, 210)
 _NONE = np.zeros((0, 2, 3))
 _SOFT = 0.35  # opacity of a ghost, and of what stands for an inertia
+_CELLS, _REACH = 4, 3  # of the grid: in the size of a robot, and to each side in its sizes
+_LINE, _MAIN_LINE = (226, 229, 233), (196, 202, 209)
+_SUNK = 0.02  # of the size: what is deeper than that has its grid below it
+_FROM = np.array([0.48, -0.82, 0.25])  # where the camera stands, in diagonals, z up
+_SUN, _SHADE = np.array([1.0, -2.0, 3.0]), (150, 150, 165)
+_FARTHER, _LOWER = 1.7, 0.55  # of telephones: distances, and diagonals that they look below
+SMALLEST = 0.05  # m, of what is looked at
+
+
+class Drawing:
+    """Solids of a scene, a motion that they follow, and a second one drawn through.
+
+    Args:
+        server: The `viser.ViserServer` to draw in.
+        scene: The scene.
+
+    Attributes:
+        frames: What is drawn, as arrays.
+        stage: The nodes.
+        motion: What is shown.
+        remarks: What cannot be drawn, a line each.
+        size: Of the robot [m].
+        shown: Which arrows are drawn, of `FORCES` and `MOMENTS`.
+        scale: Factor of their lengths.
+    """
+
+    def __init__(self, server: Any, scene: Scene) -> None:
+        self._api, self.frames = server.scene, Frames(scene)
+        self._solids, lacking = solids_of_scene(scene)
+        self.remarks = list(lacking)
+        low, high = box_around(self._solids, self.frames.at(still(scene).states[0]).poses)
+        self.size, self._ground = size_of(low, high), Ground(server, upright(scene.robot))
+        self.stage = Stage(self._api, "/robot", self._solids, self.size)
+        self.shown, self.scale, self._tightest = {"forces"}, 1.0, 0.0
+        self._ghost: tuple[Stage, ViewedMotion] | None = None
+        self.show(still(scene))
+
+    def show(self, motion: ViewedMotion, frames: Frames | None = None) -> None:
+        """Follow a motion.
+
+        Args:
+            motion: States of all joints.
+            frames: Of the scene that moved, where its numbers are not those of `scene`.
+        """
+        self.motion, self.frames = motion, frames or self.frames
+        rows = np.unique(np.linspace(0, len(motion.times) - 1, _LOOKED_AT).astype(int))
+        every = [self._arrows(self._drawn(row), row) for row in rows]
+        self._peaks = {
+            name: max(largest(one[name]) for one in every) for name in (*FORCES, *MOMENTS)
+        }
+        self._ground.surround(*self._way(rows))
+        lam = motion.multipliers
+        tensions = [] if lam is None else [self._tensions(row, lam[row]) for row in rows]
+        self._tightest = float(np.nan_to_num(np.array(tensions)).max(initial=0.0))
+
+    def _way(self, rows: Sequence[int]) -> tuple[Array, Array]:
+        """Box around the motion, no farther from its begin than some sizes."""
+        poses = [self.frames.at(self.motion.states[row]).poses.copy() for row in rows]
+        boxes = np.array([box_around(self._solids, one) for one in poses])
+        begin, far = boxes[0], _FARTHEST * self.size
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        return np.maximum(low, begin[0] - far), np.minimum(high, begin[1] + far)
+
+    def show_ghost(self, motion: ViewedMotion) -> None:
+        """Draw a second motion through, at the same times."""
+        stage = Stage(self._api, "/ghost", self._solids, self.size, is_ghost=True)
+        self._ghost = stage, motion
+
+    def draw(self, row: int) -> Drawn:
+        """Draw a sample of the motion."""
+        drawn = self._drawn(row)
+        per = {**self._per(FORCES), **self._per(MOMENTS)}
+        short = 1.0e-3 * self.size
+        every = self._arrows(drawn, row)
+        ends = {name: arrow_ends(every[name], per[name], short) for name in self.shown}
+        self.stage.draw(drawn, ends, per["forces"])
+        if self._ghost is not None:
+            stage, motion = self._ghost
+            other = np.searchsorted(motion.times, self.motion.times[row])
+            stage.place(self.frames.at(motion.states[min(int(other), len(motion.times) - 1)]))
+        return drawn
+
+    def _per(self, names: Sequence[str]) -> dict[str, float]:
+        """Length per force or moment: the largest shown is a third as long as the robot."""
+        most = max((self._peaks[name] for name in names if name in self.shown), default=0.0)
+        return dict.fromkeys(
+            names, length_per(most or self._peaks[names[0]], self.size) * self.scale
+        )
+
+    def _arrows(self, drawn: Drawn, row: int) -> dict[str, Array]:
+        """Where forces and moments act, and they themselves."""
+        forces, moments = drawn.arrows[:0], drawn.moments[:0]
+        motion = self.motion
+        if motion.multipliers is not None:
+            x, a, lam = motion.states[row], motion.accelerations[row], motion.multipliers[row]
+            forces, moments = self.frames.reactions(x, a, lam)
+        return dict(
+            zip((*FORCES, *MOMENTS), (drawn.arrows, forces, drawn.moments, moments), strict=True)
+        )
+
+    def _drawn(self, row: int) -> Drawn:
+        motion = self.motion
+        lam = None if motion.multipliers is None else motion.multipliers[row]
+        return self.frames.at(motion.states[row], motion.accelerations[row], lam, self._tightest)
+
+    def _tensions(self, row: int, lam: Array) -> Array:
+        return self.frames.tensions(self.motion.states[row], self.motion.accelerations[row], lam)
+
+
+def size_of(low: Array, high: Array) -> float:
+    """Largest side of a box [m], at least 0.05."""
+    return max(float((high - low).max()), SMALLEST)
 
 
 class Stage:
@@ -382,190 +256,66 @@ class Stage:
             )
 
 
-# ---- contact solids ---------------------------------------------------------------------------
-# Shapes of contacts, on links that have nothing else to show there; spokes to points.
+class Ground:
+    """Lights, a grid, and where cameras begin.
 
-
-_TOUCHING = (150, 140, 120)  # red, green, blue
-_CONTACT_SOLIDS_THIN = 0.03  # half a spoke, as a share of its length
-_PLATE = 20.0  # side of the piece of a half space that is shown, over the reach of solids
-_CONTACT_SOLIDS_SHORTEST = 1.0e-4  # m
-
-
-def solids_of_scene(scene: Scene) -> tuple[list[Solid], list[str]]:
-    """What links look like, and what contacts see of links that show bones alone.
-
-    Returns:
-        Solids, and lines on what cannot be drawn.
-    """
-    solids, lacking = solids_of(scene.robot)
-    seen = {solid.link for solid in solids if solid.colour != BONE}
-    parts = (*scene.constraints, *scene.forces)
-    pairs = [part.pair for part in parts if isinstance(getattr(part, "pair", None), ContactPair)]
-    sides = {id(side): side for pair in pairs for side in pair.between}
-    for side in sides.values():
-        if side.frame not in seen:
-            solids += _solids(scene.robot, side)
-    reach = max((float(np.abs(s.surface.vertices).max()) for s in solids), default=1.0)
-    for plane in _planes(scene.robot, sides.values()):
-        plate = surfaces.box([_PLATE * reach, _PLATE * reach, 1.0e-3 * reach])
-        solids.append(
-            Solid("", 0, moved(plate, plane), _TOUCHING, is_inertia=True, is_ground=True)
-        )
-    return solids, lacking
-
-
-def _planes(robot: Robot, sides: Iterable[Side]) -> Iterator[Any]:
-    """Half spaces at rest that are not the floor, which the grid shows, each once."""
-    floor = upright(robot)[:, 2]
-    found = dict[bytes, Any]()
-    for side in sides:
-        for shape in side.shapes:
-            place = robot.places.points[shape.at.number]
-            if isinstance(shape, shapes.HalfSpace) and place.joint == 0:
-                normal = place.at.rotation[:, 2]
-                if not np.allclose(normal, floor, atol=1e-6):
-                    found[np.round(place.at.homogeneous, 9).tobytes()] = place.at
-    yield from found.values()
-
-
-def _solids(robot: Robot, side: Side) -> Iterator[Solid]:
-    for shape in side.shapes:
-        place = robot.places.points[shape.at.number]
-        for surface in _surfaces(shape):
-            yield Solid(side.frame, place.joint, moved(surface, place.at), _TOUCHING)
-        if place.joint:
-            for centre in _centres(shape, place.at):
-                if np.linalg.norm(centre) > _CONTACT_SOLIDS_SHORTEST:
-                    yield Solid(
-                        side.frame, place.joint, surfaces.bone(centre, _CONTACT_SOLIDS_THIN), BONE
-                    )
-
-
-def _surfaces(shape: Any) -> Iterator[Surface]:
-    """Of shapes that have some."""
-    if isinstance(shape, shapes.Sphere) and shape.radius > 0.0:
-        yield surfaces.sphere(shape.radius)
-    elif isinstance(shape, shapes.Box):
-        yield surfaces.box(shape.sides)
-    elif isinstance(shape, shapes.Capsule):
-        yield surfaces.capsule(shape.radius, shape.length)
-    elif isinstance(shape, shapes.Cylinder):
-        yield surfaces.cylinder(shape.radius, shape.length)
-
-
-def _centres(shape: Any, at: Any) -> Sequence[Any]:
-    """Points and centres, in axes of the joint."""
-    if isinstance(shape, shapes.Points):
-        return [at.act(point) for point in shape.points]
-    return [at.translation] if isinstance(shape, shapes.Sphere) else []
-
-
-# ---- drawing ----------------------------------------------------------------------------------
-# A scene drawn in a `viser` scene: solids, and the motion that they follow.
-
-
-FORCES = ("forces", "reactions")
-MOMENTS = ("moments", "reaction moments")
-_FARTHEST = 5.0  # sizes of the robot that a camera steps back for its motion
-_LOOKED_AT = 20  # samples whose forces give the lengths of arrows
-
-
-class Drawing:
-    """Solids of a scene, a motion that they follow, and a second one drawn through.
+    Software draws shadows and mirrored surroundings at a frame a second, and these at thirty.
 
     Args:
-        server: The `viser.ViserServer` to draw in.
-        scene: The scene.
-
-    Attributes:
-        frames: What is drawn, as arrays.
-        stage: The nodes.
-        motion: What is shown.
-        remarks: What cannot be drawn, a line each.
-        size: Of the robot [m].
-        shown: Which arrows are drawn, of `FORCES` and `MOMENTS`.
-        scale: Factor of their lengths.
+        server: The `viser.ViserServer`.
+        axes: As `upright` gives them.
     """
 
-    def __init__(self, server: Any, scene: Scene) -> None:
-        self._api, self.frames = server.scene, Frames(scene)
-        self._solids, lacking = solids_of_scene(scene)
-        self.remarks = list(lacking)
-        low, high = box_around(self._solids, self.frames.at(still(scene).states[0]).poses)
-        self.size, self._ground = size_of(low, high), Ground(server, upright(scene.robot))
-        self.stage = Stage(self._api, "/robot", self._solids, self.size)
-        self.shown, self.scale, self._tightest = {"forces"}, 1.0, 0.0
-        self._ghost: tuple[Stage, ViewedMotion] | None = None
-        self.show(still(scene))
+    def __init__(self, server: Any, axes: Array) -> None:
+        self._server, self._axes = server, axes
+        scene = server.scene
+        scene.set_up_direction(axes[:, 2])
+        scene.configure_default_lights(enabled=False)
+        scene.configure_environment_map(None)
+        sky = {"ground_color": _SHADE, "intensity": 2.2, "position": axes[:, 2]}
+        scene.add_light_hemisphere("/sky", **sky)
+        scene.add_light_directional("/sun", intensity=1.6, position=axes @ _SUN)
+        self._telephone: tuple[Array, Array] | None = None
+        server.on_client_connect(self._turn)
 
-    def show(self, motion: ViewedMotion, frames: Frames | None = None) -> None:
-        """Follow a motion.
+    def surround(self, low: Array, high: Array) -> None:
+        """Lay the grid, and tell cameras where to begin.
 
         Args:
-            motion: States of all joints.
-            frames: Of the scene that moved, where its numbers are not those of `scene`.
+            low: Least corner of the box around all that is looked at [m], shape (3,).
+            high: Greatest corner.
         """
-        self.motion, self.frames = motion, frames or self.frames
-        rows = np.unique(np.linspace(0, len(motion.times) - 1, _LOOKED_AT).astype(int))
-        every = [self._arrows(self._drawn(row), row) for row in rows]
-        self._peaks = {
-            name: max(largest(one[name]) for one in every) for name in (*FORCES, *MOMENTS)
-        }
-        self._ground.surround(*self._way(rows))
-        lam = motion.multipliers
-        tensions = [] if lam is None else [self._tensions(row, lam[row]) for row in rows]
-        self._tightest = float(np.nan_to_num(np.array(tensions)).max(initial=0.0))
+        lines, colours = _grid(self._axes, size_of(low, high), low, high)
+        thickness = {"thickness": 1.0, "thickness_units": "screen"}
+        self._server.scene.add_line_segments("/ground", lines, colours, **thickness)
+        centre, away = (low + high) / 2.0, max(float(np.linalg.norm(high - low)), SMALLEST)
+        there = self._axes @ _FROM * away
+        self._server.initial_camera.position = centre + there
+        self._server.initial_camera.look_at = centre
+        below = centre - self._axes[:, 2] * (_LOWER * away)
+        self._telephone = below + there * _FARTHER, below
 
-    def _way(self, rows: Sequence[int]) -> tuple[Array, Array]:
-        """Box around the motion, no farther from its begin than some sizes."""
-        poses = [self.frames.at(self.motion.states[row]).poses.copy() for row in rows]
-        boxes = np.array([box_around(self._solids, one) for one in poses])
-        begin, far = boxes[0], _FARTHEST * self.size
-        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
-        return np.maximum(low, begin[0] - far), np.minimum(high, begin[1] + far)
+    def _turn(self, client: Any) -> None:
+        """Use the upper half of a window that is taller than wide: the panel covers the lower."""
+        if self._telephone and client.camera.image_width < client.camera.image_height:
+            client.camera.position, client.camera.look_at = self._telephone
 
-    def show_ghost(self, motion: ViewedMotion) -> None:
-        """Draw a second motion through, at the same times."""
-        stage = Stage(self._api, "/ghost", self._solids, self.size, is_ghost=True)
-        self._ghost = stage, motion
 
-    def draw(self, row: int) -> Drawn:
-        """Draw a sample of the motion."""
-        drawn = self._drawn(row)
-        per = {**self._per(FORCES), **self._per(MOMENTS)}
-        short = 1.0e-3 * self.size
-        every = self._arrows(drawn, row)
-        ends = {name: arrow_ends(every[name], per[name], short) for name in self.shown}
-        self.stage.draw(drawn, ends, per["forces"])
-        if self._ghost is not None:
-            stage, motion = self._ghost
-            other = np.searchsorted(motion.times, self.motion.times[row])
-            stage.place(self.frames.at(motion.states[min(int(other), len(motion.times) - 1)]))
-        return drawn
-
-    def _per(self, names: Sequence[str]) -> dict[str, float]:
-        """Length per force or moment: the largest shown is a third as long as the robot."""
-        most = max((self._peaks[name] for name in names if name in self.shown), default=0.0)
-        return dict.fromkeys(
-            names, length_per(most or self._peaks[names[0]], self.size) * self.scale
-        )
-
-    def _arrows(self, drawn: Drawn, row: int) -> dict[str, Array]:
-        """Where forces and moments act, and they themselves."""
-        forces, moments = drawn.arrows[:0], drawn.moments[:0]
-        motion = self.motion
-        if motion.multipliers is not None:
-            x, a, lam = motion.states[row], motion.accelerations[row], motion.multipliers[row]
-            forces, moments = self.frames.reactions(x, a, lam)
-        return dict(
-            zip((*FORCES, *MOMENTS), (drawn.arrows, forces, drawn.moments, moments), strict=True)
-        )
-
-    def _drawn(self, row: int) -> Drawn:
-        motion = self.motion
-        lam = None if motion.multipliers is None else motion.multipliers[row]
-        return self.frames.at(motion.states[row], motion.accelerations[row], lam, self._tightest)
-
-    def _tensions(self, row: int, lam: Array) -> Array:
-        return self.frames.tensions(self.motion.states[row], self.motion.accelerations[row], lam)
+def _grid(axes: Array, size: float, low: Array, high: Array) -> tuple[Array, Array]:
+    """Lines, shape (n, 2, 3), and their colours."""
+    corners = np.array([low, high]) @ axes
+    sunk = float(corners[:, 2].min())
+    height = sunk if sunk < -_SUNK * size else 0.0
+    middle = np.round(corners.mean(axis=0)[:2] / size) * size
+    offset = np.array([*middle, height])
+    along = np.arange(-_REACH * _CELLS, _REACH * _CELLS + 1)
+    lines, colours = [], []
+    for i in along:
+        at, end = size * i / _CELLS, size * _REACH
+        for across in (0, 1):
+            ends = np.array([[at, -end, 0.0], [at, end, 0.0]])
+            ends = ends if across == 0 else ends[:, [1, 0, 2]]
+            lines.append((ends + offset) @ axes.T)
+            colours.append(_LINE if i % _CELLS else _MAIN_LINE)
+    both = np.repeat(np.array(colours, np.uint8)[:, None], 2, axis=1)
+    return np.array(lines), both

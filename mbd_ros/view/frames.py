@@ -3,6 +3,8 @@
 Lengths are in metres, in the world less `Robot.origin`: a robot far away stands at the origin.
 """
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,37 +20,9 @@ from mbd_ros.errors import SolveError
 from mbd_ros.methods.inverse_dynamics.reactions import JointReactions
 from mbd_ros.scene.built_scene import Scene
 
-# ---- frames -----------------------------------------------------------------------------------
-# What is drawn of a scene at a state, as arrays: poses, lines, arrows, cones and colours.
-
-
 SLACK, TIGHT = np.array([20.0, 70.0, 220.0]), np.array([230.0, 0.0, 0.0])
 CLOSURE, COUPLING = np.array([0.0, 140.0, 50.0]), np.array([130.0, 30.0, 190.0])
-_NO_LINES, _NO_POINTS = np.zeros((0, 2, 3)), np.zeros((0, 3))
-
-
-class Drawn(NamedTuple):
-    """What is drawn at one state.
-
-    Attributes:
-        poses: Of every joint of the model: place [m], then quaternion (w, x, y, z), shape
-            (njoints, 7), overwritten by the next one.
-        lines: Begin and end of every piece of a path, then of a closure, then from a joint to
-            each that follows it, shape (n, 2, 3).
-        colours: Of lines, 0 .. 255, shape (n, 3), uint8.
-        points: Of markers, then both ends of every closure, shape (m, 3).
-        arrows: Where forces of constraints and contacts act, and the forces [N], shape (k, 2, 3).
-        moments: The same with their moments [N·m], shape (k, 2, 3).
-        cones: Tips of friction cones, normal forces [N] and coefficients, shape (c, 7).
-    """
-
-    poses: Array
-    lines: Array
-    colours: NDArray[np.uint8]
-    points: Array
-    arrows: Array
-    moments: Array
-    cones: Array
+_NO_LINES = np.zeros((0, 2, 3))
 
 
 class Frames:
@@ -207,19 +181,6 @@ class Frames:
         return lines[np.linalg.norm(lines[:, 1] - lines[:, 0], axis=1) > 0.0]
 
 
-def tension_colours(tensions: Array, most: float = 0.0) -> Array:
-    """Blue where slack or unknown, red at the largest tension, shape (n, 3).
-
-    Args:
-        tensions: [N], shape (n,); NaN where unknown.
-        most: Tension that is red [N]; 0 for the largest there is.
-    """
-    known = np.nan_to_num(tensions)
-    most = most or float(np.abs(known).max(initial=0.0))
-    share = np.clip(known / most, 0.0, 1.0) if most > 0.0 else np.zeros(len(known))
-    return SLACK + share[:, None] * (TIGHT - SLACK)
-
-
 def _tension(part: Any, named: dict[str, int]) -> int | None:
     """Which number is the tension of a part with a path."""
     return next(
@@ -239,11 +200,41 @@ def _coupled(scene: Scene) -> NDArray[np.intp]:
     return np.array(pairs, dtype=np.intp).reshape(-1, 2)
 
 
-# ---- arrows -----------------------------------------------------------------------------------
-# Lines of arrows and of friction cones, and how long they are.
+def tension_colours(tensions: Array, most: float = 0.0) -> Array:
+    """Blue where slack or unknown, red at the largest tension, shape (n, 3).
+
+    Args:
+        tensions: [N], shape (n,); NaN where unknown.
+        most: Tension that is red [N]; 0 for the largest there is.
+    """
+    known = np.nan_to_num(tensions)
+    most = most or float(np.abs(known).max(initial=0.0))
+    share = np.clip(known / most, 0.0, 1.0) if most > 0.0 else np.zeros(len(known))
+    return SLACK + share[:, None] * (TIGHT - SLACK)
 
 
-_ARROWS_NO_LINES = np.zeros((0, 2, 3))
+class Drawn(NamedTuple):
+    """What is drawn at one state.
+
+    Attributes:
+        poses: Of every joint of the model: place [m], then quaternion (w, x, y, z), shape
+            (njoints, 7), overwritten by the next one.
+        lines: Begin and end of every piece of a path, then of a closure, then from a joint to
+            each that follows it, shape (n, 2, 3).
+        colours: Of lines, 0 .. 255, shape (n, 3), uint8.
+        points: Of markers, then both ends of every closure, shape (m, 3).
+        arrows: Where forces of constraints and contacts act, and the forces [N], shape (k, 2, 3).
+        moments: The same with their moments [N·m], shape (k, 2, 3).
+        cones: Tips of friction cones, normal forces [N] and coefficients, shape (c, 7).
+    """
+
+    poses: Array
+    lines: Array
+    colours: NDArray[np.uint8]
+    points: Array
+    arrows: Array
+    moments: Array
+    cones: Array
 
 
 def arrow_ends(arrows: Array, scale: float, shortest: float = 1.0e-6) -> Array:
@@ -270,7 +261,7 @@ def cone_lines(cones: Array, scale: float, around: int = 12) -> Array:
     Returns:
         Shape (2 n around, 2, 3).
     """
-    pieces = [_ARROWS_NO_LINES]
+    pieces = [_NO_LINES]
     turn = np.arange(around) * (2.0 * np.pi / around)
     for cone in cones:
         axis = cone[3:6] * scale
@@ -298,19 +289,6 @@ def largest(arrows: Array) -> float:
     return float(np.linalg.norm(arrows[:, 1], axis=1).max(initial=0.0))
 
 
-# ---- ground -----------------------------------------------------------------------------------
-# What a robot stands in: the direction that is up, a grid, and lights that cast no shadows.
-
-
-_CELLS, _REACH = 4, 3  # of the grid: in the size of a robot, and to each side in its sizes
-_LINE, _MAIN_LINE = (226, 229, 233), (196, 202, 209)
-_SUNK = 0.02  # of the size: what is deeper than that has its grid below it
-_FROM = np.array([0.48, -0.82, 0.25])  # where the camera stands, in diagonals, z up
-_SUN, _SHADE = np.array([1.0, -2.0, 3.0]), (150, 150, 165)
-_FARTHER, _LOWER = 1.7, 0.55  # of telephones: distances, and diagonals that they look below
-SMALLEST = 0.05  # m, of what is looked at
-
-
 def upright(robot: Robot) -> Array:
     """Axes whose last one, along an axis of the world, is the most opposite to gravity, (3, 3)."""
     gravity = np.array(robot.model.gravity.linear)
@@ -321,71 +299,8 @@ def upright(robot: Robot) -> Array:
     return turn
 
 
-class Ground:
-    """Lights, a grid, and where cameras begin.
-
-    Software draws shadows and mirrored surroundings at a frame a second, and these at thirty.
-
-    Args:
-        server: The `viser.ViserServer`.
-        axes: As `upright` gives them.
-    """
-
-    def __init__(self, server: Any, axes: Array) -> None:
-        self._server, self._axes = server, axes
-        scene = server.scene
-        scene.set_up_direction(axes[:, 2])
-        scene.configure_default_lights(enabled=False)
-        scene.configure_environment_map(None)
-        sky = {"ground_color": _SHADE, "intensity": 2.2, "position": axes[:, 2]}
-        scene.add_light_hemisphere("/sky", **sky)
-        scene.add_light_directional("/sun", intensity=1.6, position=axes @ _SUN)
-        self._telephone: tuple[Array, Array] | None = None
-        server.on_client_connect(self._turn)
-
-    def surround(self, low: Array, high: Array) -> None:
-        """Lay the grid, and tell cameras where to begin.
-
-        Args:
-            low: Least corner of the box around all that is looked at [m], shape (3,).
-            high: Greatest corner.
-        """
-        lines, colours = _grid(self._axes, size_of(low, high), low, high)
-        thickness = {"thickness": 1.0, "thickness_units": "screen"}
-        self._server.scene.add_line_segments("/ground", lines, colours, **thickness)
-        centre, away = (low + high) / 2.0, max(float(np.linalg.norm(high - low)), SMALLEST)
-        there = self._axes @ _FROM * away
-        self._server.initial_camera.position = centre + there
-        self._server.initial_camera.look_at = centre
-        below = centre - self._axes[:, 2] * (_LOWER * away)
-        self._telephone = below + there * _FARTHER, below
-
-    def _turn(self, client: Any) -> None:
-        """Use the upper half of a window that is taller than wide: the panel covers the lower."""
-        if self._telephone and client.camera.image_width < client.camera.image_height:
-            client.camera.position, client.camera.look_at = self._telephone
-
-
-def size_of(low: Array, high: Array) -> float:
-    """Largest side of a box [m], at least 0.05."""
-    return max(float((high - low).max()), SMALLEST)
-
-
-def _grid(axes: Array, size: float, low: Array, high: Array) -> tuple[Array, Array]:
-    """Lines, shape (n, 2, 3), and their colours."""
-    corners = np.array([low, high]) @ axes
-    sunk = float(corners[:, 2].min())
-    height = sunk if sunk < -_SUNK * size else 0.0
-    middle = np.round(corners.mean(axis=0)[:2] / size) * size
-    offset = np.array([*middle, height])
-    along = np.arange(-_REACH * _CELLS, _REACH * _CELLS + 1)
-    lines, colours = [], []
-    for i in along:
-        at, end = size * i / _CELLS, size * _REACH
-        for across in (0, 1):
-            ends = np.array([[at, -end, 0.0], [at, end, 0.0]])
-            ends = ends if across == 0 else ends[:, [1, 0, 2]]
-            lines.append((ends + offset) @ axes.T)
-            colours.append(_LINE if i % _CELLS else _MAIN_LINE)
-    both = np.repeat(np.array(colours, np.uint8)[:, None], 2, axis=1)
-    return np.array(lines), both
+def joint_indices(robot: Robot) -> dict[str, int]:
+    """Joint or free body -> its index in the model."""
+    at_v = {int(j.idx_v): i for i, j in enumerate(robot.model.joints) if i and j.nv == 1}
+    found = {joint.name: at_v[joint.v] for joint in robot.joints}
+    return found | {base.name: base.joint for base in robot.bases}

@@ -1,5 +1,7 @@
 """The page: a `viser` server that shows one scene, its motion and curves under it."""
 
+from __future__ import annotations
+
 import contextlib
 import time
 from collections.abc import Sequence
@@ -12,95 +14,13 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.view.controls import Controls, Rerun
+from mbd_ros.view.controls import Controls
 from mbd_ros.view.curves import MotionCurves
 from mbd_ros.view.drawing import Drawing
 from mbd_ros.view.frames import Frames
 from mbd_ros.view.motion import ViewedMotion, still, viewed_motion
+from mbd_ros.view.rerun import Rerun
 from mbd_ros.view.server import PageServer
-
-# ---- player -----------------------------------------------------------------------------------
-# Which sample is shown: the slider, or a clock while it plays.
-
-
-class Player:
-    """Time of a motion.
-
-    Args:
-        controls: Slider, play, speed and loop.
-    """
-
-    def __init__(self, controls: Controls) -> None:
-        self._controls = controls
-        self._before: float | None = None
-
-    def row(self, clock: float, times: Array) -> int:
-        """The sample to show.
-
-        Args:
-            clock: A time that only grows [s].
-            times: Of the samples [s], shape (n,).
-        """
-        controls = self._controls
-        passed = 0.0 if self._before is None else clock - self._before
-        self._before = clock
-        now = controls.now
-        if controls.plays and passed > 0.0:
-            now = advanced(now, passed * controls.speed, float(times[-1]), controls.loops)
-            controls.now = now
-            if now >= times[-1] and not controls.loops:
-                controls.plays = False
-        return nearest_row(times, now)
-
-
-def advanced(now: float, step: float, end: float, loops: bool) -> float:
-    """The time after a step [s]: at the end it stays, or begins again at 0."""
-    after = now + step
-    if after <= end:
-        return after
-    return after % end if loops and end > 0.0 else end
-
-
-def nearest_row(times: Array, now: float) -> int:
-    """The last sample that is not after a time, to a nanosecond."""
-    row = int(np.searchsorted(times, now + 1.0e-9, side="right")) - 1
-    return min(max(row, 0), len(times) - 1)
-
-
-# ---- follower ---------------------------------------------------------------------------------
-# Cameras that go along with a joint.
-
-
-class Follower:
-    """Moves the cameras of all browsers as the joint moves that they follow.
-
-    Args:
-        server: The `viser.ViserServer`.
-    """
-
-    def __init__(self, server: Any) -> None:
-        self._server = server
-        self._joint: Any = None
-        self._place: Array | None = None
-
-    def follow(self, joint: Any, place: Array | None) -> None:
-        """Go along.
-
-        Args:
-            joint: What is followed; another one is no reason to move.
-            place: Where it is [m], shape (3,); None to stay.
-        """
-        before, is_same = self._place, joint == self._joint
-        self._joint, self._place = joint, None if place is None else place.copy()
-        if place is None or before is None or not is_same:
-            return
-        for client in self._server.get_clients().values():
-            client.camera.position = client.camera.position + place - before  # looks along
-
-
-# ---- page -------------------------------------------------------------------------------------
-# The page: a `viser` server that shows one scene, its motion and curves under it.
-
 
 _RATE = 30.0  # frames a second, at most
 
@@ -222,3 +142,74 @@ class Page:
             drawn, joint = self._drawing.draw(row), controls.followed
             self._follower.follow(joint, None if joint is None else drawn.poses[joint, :3])
         controls.show_sample(float(self._drawing.motion.times[row]), row)
+
+
+class Player:
+    """Time of a motion.
+
+    Args:
+        controls: Slider, play, speed and loop.
+    """
+
+    def __init__(self, controls: Controls) -> None:
+        self._controls = controls
+        self._before: float | None = None
+
+    def row(self, clock: float, times: Array) -> int:
+        """The sample to show.
+
+        Args:
+            clock: A time that only grows [s].
+            times: Of the samples [s], shape (n,).
+        """
+        controls = self._controls
+        passed = 0.0 if self._before is None else clock - self._before
+        self._before = clock
+        now = controls.now
+        if controls.plays and passed > 0.0:
+            now = advanced(now, passed * controls.speed, float(times[-1]), controls.loops)
+            controls.now = now
+            if now >= times[-1] and not controls.loops:
+                controls.plays = False
+        return nearest_row(times, now)
+
+
+def advanced(now: float, step: float, end: float, loops: bool) -> float:
+    """The time after a step [s]: at the end it stays, or begins again at 0."""
+    after = now + step
+    if after <= end:
+        return after
+    return after % end if loops and end > 0.0 else end
+
+
+def nearest_row(times: Array, now: float) -> int:
+    """The last sample that is not after a time, to a nanosecond."""
+    row = int(np.searchsorted(times, now + 1.0e-9, side="right")) - 1
+    return min(max(row, 0), len(times) - 1)
+
+
+class Follower:
+    """Moves the cameras of all browsers as the joint moves that they follow.
+
+    Args:
+        server: The `viser.ViserServer`.
+    """
+
+    def __init__(self, server: Any) -> None:
+        self._server = server
+        self._joint: Any = None
+        self._place: Array | None = None
+
+    def follow(self, joint: Any, place: Array | None) -> None:
+        """Go along.
+
+        Args:
+            joint: What is followed; another one is no reason to move.
+            place: Where it is [m], shape (3,); None to stay.
+        """
+        before, is_same = self._place, joint == self._joint
+        self._joint, self._place = joint, None if place is None else place.copy()
+        if place is None or before is None or not is_same:
+            return
+        for client in self._server.get_clients().values():
+            client.camera.position = client.camera.position + place - before  # looks along
