@@ -10,6 +10,8 @@ A has a diagonal of about one. It may be singular: every step is the shortest on
 P. Alart, A. Curnier, Comput. Methods Appl. Mech. Eng. 92 (1991) 353.
 """
 
+from __future__ import annotations
+
 import math
 from functools import lru_cache
 from typing import NamedTuple
@@ -21,96 +23,10 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import redundant
 
-# Where numbers of contacts with friction stand in vectors and matrices of their rows.
-
-
-class ConePlaces(NamedTuple):
-    """Places of n contacts.
-
-    Attributes:
-        tangents: Their rows, shape (2, n).
-        friction: Entries of a matrix, counted row by row: the columns of a contact in the row of
-            its first tangent, shape (3, n).
-        turns: The same: columns of both tangents in the row of the second one, shape (2, n).
-    """
-
-    tangents: NDArray[np.intp]
-    friction: NDArray[np.intp]
-    turns: NDArray[np.intp]
-
-
-@lru_cache(64)
-def cone_places(m: int, normals: tuple[int, ...]) -> ConePlaces:
-    """Places of contacts whose normals, with two tangents behind each, stand among m rows."""
-    normal = np.array(normals, dtype=np.intp)
-    first, second = normal + 1, normal + 2
-    friction = np.stack((first * m + normal, first * (m + 1), first * m + second))
-    turns = np.stack((second * m + first, second * (m + 1)))
-    return ConePlaces(np.stack((first, second)), friction, turns)
-
-
 Slots = NDArray[np.intp]
 _EXACT = 4.0e-16  # of the impulses: nothing is left of the map
 _SMALL = 2.0e-15  # the same: rounding, once a step no longer halves it
 _ENOUGH = 1.0e-4  # of the decrease that a step promises
-
-
-class Contacts(NamedTuple):
-    """Which rows of a problem are what.
-
-    Attributes:
-        others: Rows between bounds.
-        normal: Normals, shape (n,).
-        first: The first tangents, shape (n,).
-        second: The second ones.
-        mu: Coefficients of friction, shape (n,).
-    """
-
-    others: Slots
-    normal: Slots
-    first: Slots
-    second: Slots
-    mu: Array
-
-
-class Bounds(NamedTuple):
-    """What impulses may be.
-
-    Attributes:
-        lower: Smallest ones of rows between bounds, shape (k,).
-        upper: Their largest ones.
-        least: Smallest normal ones, >= 0, shape (n,).
-    """
-
-    lower: Array
-    upper: Array
-    least: Array
-
-
-class Seen(NamedTuple):
-    """The natural map at some impulses.
-
-    Attributes:
-        left: p less what the map makes of it, shape (m,).
-        w: Rates, shape (m,).
-        holds: Rows whose w has to be 0, those of the tangents that stick among them.
-        slips: Contacts whose friction is the largest.
-        pushes: Contacts with p_n - w_n above the least.
-        x: First component of the direction of friction of every contact.
-        y: Second one.
-        radius: Largest friction.
-        share: Radius over the length of p_t - w_t, at most 1.
-    """
-
-    left: Array
-    w: Array
-    holds: NDArray[np.bool_]
-    slips: NDArray[np.bool_]
-    pushes: NDArray[np.bool_]
-    x: Array
-    y: Array
-    radius: Array
-    share: Array
 
 
 class ConeNewton:
@@ -134,7 +50,7 @@ class ConeNewton:
         self.A, self.contacts, self.depends = A, contacts, True
         self._places = cone_places(len(A), tuple(contacts.normal.tolist()))
 
-    def damped(self, by: float) -> "ConeNewton":
+    def damped(self, by: float) -> ConeNewton:
         """The same with a part of the identity added to A."""
         return ConeNewton(self.A + by * np.eye(len(self.A)), self.contacts)
 
@@ -257,6 +173,89 @@ def shortest(K: Array, r: Array) -> tuple[Array, int]:
     factor.setThreshold(redundant(len(r)))
     factor.compute(K)
     return factor.solve(r).reshape(K.shape[1]), int(factor.rank())
+
+
+class Contacts(NamedTuple):
+    """Which rows of a problem are what.
+
+    Attributes:
+        others: Rows between bounds.
+        normal: Normals, shape (n,).
+        first: The first tangents, shape (n,).
+        second: The second ones.
+        mu: Coefficients of friction, shape (n,).
+    """
+
+    others: Slots
+    normal: Slots
+    first: Slots
+    second: Slots
+    mu: Array
+
+
+class Bounds(NamedTuple):
+    """What impulses may be.
+
+    Attributes:
+        lower: Smallest ones of rows between bounds, shape (k,).
+        upper: Their largest ones.
+        least: Smallest normal ones, >= 0, shape (n,).
+    """
+
+    lower: Array
+    upper: Array
+    least: Array
+
+
+class Seen(NamedTuple):
+    """The natural map at some impulses.
+
+    Attributes:
+        left: p less what the map makes of it, shape (m,).
+        w: Rates, shape (m,).
+        holds: Rows whose w has to be 0, those of the tangents that stick among them.
+        slips: Contacts whose friction is the largest.
+        pushes: Contacts with p_n - w_n above the least.
+        x: First component of the direction of friction of every contact.
+        y: Second one.
+        radius: Largest friction.
+        share: Radius over the length of p_t - w_t, at most 1.
+    """
+
+    left: Array
+    w: Array
+    holds: NDArray[np.bool_]
+    slips: NDArray[np.bool_]
+    pushes: NDArray[np.bool_]
+    x: Array
+    y: Array
+    radius: Array
+    share: Array
+
+
+class ConePlaces(NamedTuple):
+    """Places of n contacts.
+
+    Attributes:
+        tangents: Their rows, shape (2, n).
+        friction: Entries of a matrix, counted row by row: the columns of a contact in the row of
+            its first tangent, shape (3, n).
+        turns: The same: columns of both tangents in the row of the second one, shape (2, n).
+    """
+
+    tangents: NDArray[np.intp]
+    friction: NDArray[np.intp]
+    turns: NDArray[np.intp]
+
+
+@lru_cache(64)
+def cone_places(m: int, normals: tuple[int, ...]) -> ConePlaces:
+    """Places of contacts whose normals, with two tangents behind each, stand among m rows."""
+    normal = np.array(normals, dtype=np.intp)
+    first, second = normal + 1, normal + 2
+    friction = np.stack((first * m + normal, first * (m + 1), first * m + second))
+    turns = np.stack((second * m + first, second * (m + 1)))
+    return ConePlaces(np.stack((first, second)), friction, turns)
 
 
 def kept(contacts: Contacts, bounds: Bounds, seen: Seen, p: Array) -> Array:
