@@ -1,4 +1,14 @@
-"""A system composed of a free motion and of rows that give way."""
+"""Accelerations of a scene: a free motion, and the rows that give way on top of it.
+
+    y'' = free(t, q, v, u) + response of y'' to J' lam
+
+The free motion keeps bilateral rows and couplings (`open_chain`, `reduced`, `kkt`). The
+multipliers lam of unilateral and bounded rows come from `complementarity/bounded_rows`, in every
+evaluation, or from `contact_modes/event_rows`, where rows are active or not by the mode of the
+state.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING
@@ -22,107 +32,6 @@ if TYPE_CHECKING:
     from mbd_ros.core.contact_modes.event_rows import ExactRows
     from mbd_ros.core.dynamics.internal_dynamics import Extended
     from mbd_ros.core.dynamics.linearization import FreeDerivatives
-
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from mbd_ros.core.contact_modes.event_rows import ExactRows
-
-
-# The functions that write accelerations and rates, one a mode.
-
-
-class ModeAccelerators:
-    """Accelerators of a `ComposedSystem`, made once a mode.
-
-    Args:
-        motion: Accelerations without rows that give way.
-        bounded: Rows that are solved for in every evaluation.
-        exact: Rows that are on or off by the mode.
-        internals: The internal states of all parts.
-        rates: Rates of internal states at a state of all joints.
-    """
-
-    def __init__(
-        self,
-        motion: FreeMotion,
-        bounded: BoundedRows | None,
-        exact: "ExactRows | None",
-        internals: Internals,
-        rates: Callable[[State, Array | None], Array],
-    ) -> None:
-        self._motion, self._mechanism = motion, motion.mechanism
-        self._bounded, self._exact = bounded, exact
-        self._internals, self._rates = internals, rates
-        self._made = dict[Mode, Accelerator]()
-
-    def of(self, mode: Mode) -> Accelerator:
-        """The function that writes y'' in a mode, and z' with internal states."""
-        if mode not in self._made:
-            self._made[mode] = self._written(mode)
-        return self._made[mode]
-
-    def _written(self, mode: Mode) -> Accelerator:
-        mechanism, write = self._mechanism, self._without_exact()
-        if self._exact is not None and not self._exact.is_idle(mode):
-            write = self._with_exact(self._exact, mode)
-        if self._internals.nz:
-            return self._with_rates(write, mode)
-        if not mode or mechanism.loads.is_empty:  # nobody reads the mode
-            return write
-
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            mechanism.mode = mode
-            try:
-                write(t, q, v, u, out)
-            finally:
-                mechanism.mode = ()
-
-        return accelerate
-
-    def _with_rates(self, write: Accelerator, mode: Mode) -> Accelerator:
-        mechanism, inside, rates = self._mechanism, self._internals.inside, self._rates
-        expand, is_constant = self._motion.coordinates.expand, self._internals.is_constant
-
-        def accelerate(
-            t: float, q: Array, v: Array, z: Array, u: Array | None, a_out: Array, z_out: Array
-        ) -> None:
-            before = mechanism.mode, mechanism.z
-            mechanism.mode, mechanism.z = mode, inside(z)
-            try:
-                if is_constant:
-                    z_out[...] = 0.0
-                else:
-                    z_out[...] = rates(expand(State(t, q, v, mechanism.z, mode)), u)
-                write(t, q, v, u, a_out)
-            finally:
-                mechanism.mode, mechanism.z = before
-
-        return accelerate
-
-    def _with_exact(self, exact: "ExactRows", mode: Mode) -> Accelerator:
-        motion, pushed = self._motion, exact.pushing(mode)
-
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            a = motion.accelerate(t, q, v, u)
-            if pushed is None:
-                out[...] = exact.accelerate(t, q, v, a, mode, splits=False)
-            else:
-                out[...] = pushed(t, q, v, a)
-
-        return accelerate
-
-    def _without_exact(self) -> Accelerator:
-        motion, bounded = self._motion, self._bounded
-        if bounded is None:
-            return motion.accelerator()
-
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            a = motion.accelerate(t, q, v, u)
-            out[...] = bounded.accelerate(motion, t, q, v, a)
-
-        return accelerate
-
 
 Build = Callable[[Loads, tuple[float, float]], System]
 
@@ -148,7 +57,7 @@ class ComposedSystem:
         rigid: RigidRows,
         held: RigidRows,
         bounded: BoundedRows | None,
-        exact: "ExactRows | None",
+        exact: ExactRows | None,
         layout: RowLayout,
         internals: Internals,
         build: Build,
@@ -304,3 +213,95 @@ class ComposedSystem:
         internals, k, loads = self.internals, self._mechanism.k, self.loads
         k.refresh(x.q, x.v, internals.reads)
         return internals.rates(k, x, loads.inputs(x, u))
+
+
+class ModeAccelerators:
+    """Accelerators of a `ComposedSystem`, made once a mode.
+
+    Args:
+        motion: Accelerations without rows that give way.
+        bounded: Rows that are solved for in every evaluation.
+        exact: Rows that are on or off by the mode.
+        internals: The internal states of all parts.
+        rates: Rates of internal states at a state of all joints.
+    """
+
+    def __init__(
+        self,
+        motion: FreeMotion,
+        bounded: BoundedRows | None,
+        exact: ExactRows | None,
+        internals: Internals,
+        rates: Callable[[State, Array | None], Array],
+    ) -> None:
+        self._motion, self._mechanism = motion, motion.mechanism
+        self._bounded, self._exact = bounded, exact
+        self._internals, self._rates = internals, rates
+        self._made = dict[Mode, Accelerator]()
+
+    def of(self, mode: Mode) -> Accelerator:
+        """The function that writes y'' in a mode, and z' with internal states."""
+        if mode not in self._made:
+            self._made[mode] = self._written(mode)
+        return self._made[mode]
+
+    def _written(self, mode: Mode) -> Accelerator:
+        mechanism, write = self._mechanism, self._without_exact()
+        if self._exact is not None and not self._exact.is_idle(mode):
+            write = self._with_exact(self._exact, mode)
+        if self._internals.nz:
+            return self._with_rates(write, mode)
+        if not mode or mechanism.loads.is_empty:  # nobody reads the mode
+            return write
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            mechanism.mode = mode
+            try:
+                write(t, q, v, u, out)
+            finally:
+                mechanism.mode = ()
+
+        return accelerate
+
+    def _with_rates(self, write: Accelerator, mode: Mode) -> Accelerator:
+        mechanism, inside, rates = self._mechanism, self._internals.inside, self._rates
+        expand, is_constant = self._motion.coordinates.expand, self._internals.is_constant
+
+        def accelerate(
+            t: float, q: Array, v: Array, z: Array, u: Array | None, a_out: Array, z_out: Array
+        ) -> None:
+            before = mechanism.mode, mechanism.z
+            mechanism.mode, mechanism.z = mode, inside(z)
+            try:
+                if is_constant:
+                    z_out[...] = 0.0
+                else:
+                    z_out[...] = rates(expand(State(t, q, v, mechanism.z, mode)), u)
+                write(t, q, v, u, a_out)
+            finally:
+                mechanism.mode, mechanism.z = before
+
+        return accelerate
+
+    def _with_exact(self, exact: ExactRows, mode: Mode) -> Accelerator:
+        motion, pushed = self._motion, exact.pushing(mode)
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            a = motion.accelerate(t, q, v, u)
+            if pushed is None:
+                out[...] = exact.accelerate(t, q, v, a, mode, splits=False)
+            else:
+                out[...] = pushed(t, q, v, a)
+
+        return accelerate
+
+    def _without_exact(self) -> Accelerator:
+        motion, bounded = self._motion, self._bounded
+        if bounded is None:
+            return motion.accelerator()
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            a = motion.accelerate(t, q, v, u)
+            out[...] = bounded.accelerate(motion, t, q, v, a)
+
+        return accelerate

@@ -1,9 +1,12 @@
-"""Systems with internal states: where these start, and as velocities of further coordinates.
+"""Systems with internal states z: as velocities of further coordinates, and where they start.
 
 Every method that integrates v' = a and q' = v integrates z' = r too, if z stands beside v: (v, z)
-are the velocities, the integral of z the position that belongs to z. Methods stay as they are, and
-scenes without internal states pay nothing.
+are the velocities, the integral of z the position that belongs to z (`Extended`). Methods stay as
+they are, and scenes without internal states pay nothing. `settled` finds where internal states
+start: as given, or at rest under the position, the velocity and u.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Callable
@@ -20,8 +23,111 @@ from mbd_ros.core.state import NONE, Array, Mode, State
 from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import SolveError
 
-# ---- extended ---------------------------------------------------------------------------------
-# A system whose internal states are velocities of coordinates that nobody asks for.
+_CORRECTIONS = 60  # steps of Newton's method
+_SHORTEST = 1.0e-6  # share of such a step
+_FIRST = 1.0e-2  # change of z in a first implicit step
+_FOLLOWED = 200  # implicit steps
+_STEP = 1.5e-8  # square root of the rounding unit
+_AT_REST = 1.0e-9  # of z: a correction that may be the last
+_ROUNDING = 1.0e-15  # of z: a correction that must be the last
+_LEFT = 1.0e-6  # of a rate: what a correction may leave of it
+
+
+class Extended:
+    """What integrators ask of a system, with internal states beside the velocities.
+
+    Whatever else they ask is that of the system.
+
+    Args:
+        system: The system, with internal states.
+
+    Attributes:
+        system: As given.
+        chart: Of configurations beside the integrals of internal states.
+        nq: Size of such a configuration.
+        nv: Size of velocities and internal states together.
+        held: All bilateral rows, as that of the system.
+        residual: Of the bilateral rows of positions, as that of the system; so are `jacobian` and
+            `rate`.
+        upper: Largest velocities, inf but for internal states, shape (nv,).
+    """
+
+    def __init__(self, system: System) -> None:
+        self.system, internals = system, system.internals
+        sizes = np.minimum(internals.upper - internals.lower, 1.0)
+        self.chart = ExtendedChart(system.chart, sizes)
+        self.nq, self.nv, self.bounded = self.chart.nq, self.chart.nv, system.bounded
+        self.upper = np.concatenate((np.full(system.nv, np.inf), internals.upper))
+        self._nq, self._nv, self._nz = system.nq, system.nv, internals.nz
+        self.held = ExtendedRows(system.held, system.nq, internals.nz)
+        rows = ExtendedRows(system, system.nq, internals.nz)
+        self.residual, self.jacobian, self.rate = rows.residual, rows.jacobian, rows.rate
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.system, name)
+
+    def joined(self, y: State, integrals: Array | None = None) -> State:
+        """A state of what the system integrates, with its internal states beside v.
+
+        Args:
+            y: State with internal states.
+            integrals: Of the internal states; 0 without.
+        """
+        more = np.zeros(self._nz) if integrals is None else integrals
+        q, v = np.concatenate((y.q, more)), np.concatenate((y.v, y.z))
+        return State(y.t, q, v, NONE, y.mode)
+
+    def parted(self, x: State) -> State:
+        """The state of what the system integrates, internal states inside their bounds."""
+        z = self.system.internals.inside(x.v[self._nv :])
+        return State(x.t, x.q[: self._nq], x.v[: self._nv], z, x.mode)
+
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """The function of t, q, v, u that writes accelerations and rates in a mode."""
+        return self.adapted(self.system.accelerator(mode))
+
+    def adapted(self, write: Accelerator) -> Accelerator:
+        """A function of t, q, v, u from one of t, q, v, z, u."""
+        n, m = self._nq, self._nv
+
+        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            write(t, q[:n], v[:m], v[m:], u, out[:m], out[m:])
+
+        return accelerate
+
+    def derivatives(self, x: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
+        """As those of the system, rates among the accelerations."""
+        of = self.system.derivatives(self.parted(x), u, inputs=inputs)
+        by_q, by_v = of.of_velocities
+        by_u = of.u if of.rates is None else np.vstack((of.u, of.rates.u))
+        return Derivatives(by_q, by_v, np.zeros((len(by_q), 0)), by_u)
+
+    def with_loads(self, loads: Any) -> Extended:
+        """The same for other loads."""
+        return Extended(self.system.with_loads(loads))
+
+    def expand(self, x: State) -> State:
+        """State of all joints."""
+        return self.system.expand(self.parted(x))
+
+    def reduce(self, x: State) -> State:
+        """State of what is integrated from that of all joints."""
+        return self.joined(self.system.reduce(x))
+
+    def lift(self, x: State, a: Array) -> Array:
+        """Accelerations of all joints."""
+        return self.system.lift(self.parted(x), a[: self._nv])
+
+    def mass(self, q: Array) -> Mass:
+        """Mass matrix; internal states have the mass 1."""
+        M, m = np.eye(self.nv), self._nv
+        M[:m, :m] = self.system.mass(q[: self._nq]).dense
+        return Mass(M)
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Generalized force tau - h beside the rates."""
+        y = self.parted(State(t, q, v))
+        return np.concatenate((self.system.applied_with(y, u), self.system.rates(y, u)))
 
 
 class ExtendedChart:
@@ -97,114 +203,6 @@ class ExtendedRows:
         return self._rows.rate(t, q[: self._nq])
 
 
-class Extended:
-    """What integrators ask of a system, with internal states beside the velocities.
-
-    Whatever else they ask is that of the system.
-
-    Args:
-        system: The system, with internal states.
-
-    Attributes:
-        system: As given.
-        chart: Of configurations beside the integrals of internal states.
-        nq: Size of such a configuration.
-        nv: Size of velocities and internal states together.
-        held: All bilateral rows, as that of the system.
-        residual: Of the bilateral rows of positions, as that of the system; so are `jacobian` and
-            `rate`.
-        upper: Largest velocities, inf but for internal states, shape (nv,).
-    """
-
-    def __init__(self, system: System) -> None:
-        self.system, internals = system, system.internals
-        sizes = np.minimum(internals.upper - internals.lower, 1.0)
-        self.chart = ExtendedChart(system.chart, sizes)
-        self.nq, self.nv, self.bounded = self.chart.nq, self.chart.nv, system.bounded
-        self.upper = np.concatenate((np.full(system.nv, np.inf), internals.upper))
-        self._nq, self._nv, self._nz = system.nq, system.nv, internals.nz
-        self.held = ExtendedRows(system.held, system.nq, internals.nz)
-        rows = ExtendedRows(system, system.nq, internals.nz)
-        self.residual, self.jacobian, self.rate = rows.residual, rows.jacobian, rows.rate
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self.system, name)
-
-    def joined(self, y: State, integrals: Array | None = None) -> State:
-        """A state of what the system integrates, with its internal states beside v.
-
-        Args:
-            y: State with internal states.
-            integrals: Of the internal states; 0 without.
-        """
-        more = np.zeros(self._nz) if integrals is None else integrals
-        q, v = np.concatenate((y.q, more)), np.concatenate((y.v, y.z))
-        return State(y.t, q, v, NONE, y.mode)
-
-    def parted(self, x: State) -> State:
-        """The state of what the system integrates, internal states inside their bounds."""
-        z = self.system.internals.inside(x.v[self._nv :])
-        return State(x.t, x.q[: self._nq], x.v[: self._nv], z, x.mode)
-
-    def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function of t, q, v, u that writes accelerations and rates in a mode."""
-        return self.adapted(self.system.accelerator(mode))
-
-    def adapted(self, write: Accelerator) -> Accelerator:
-        """A function of t, q, v, u from one of t, q, v, z, u."""
-        n, m = self._nq, self._nv
-
-        def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-            write(t, q[:n], v[:m], v[m:], u, out[:m], out[m:])
-
-        return accelerate
-
-    def derivatives(self, x: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """As those of the system, rates among the accelerations."""
-        of = self.system.derivatives(self.parted(x), u, inputs=inputs)
-        by_q, by_v = of.of_velocities
-        by_u = of.u if of.rates is None else np.vstack((of.u, of.rates.u))
-        return Derivatives(by_q, by_v, np.zeros((len(by_q), 0)), by_u)
-
-    def with_loads(self, loads: Any) -> "Extended":
-        """The same for other loads."""
-        return Extended(self.system.with_loads(loads))
-
-    def expand(self, x: State) -> State:
-        """State of all joints."""
-        return self.system.expand(self.parted(x))
-
-    def reduce(self, x: State) -> State:
-        """State of what is integrated from that of all joints."""
-        return self.joined(self.system.reduce(x))
-
-    def lift(self, x: State, a: Array) -> Array:
-        """Accelerations of all joints."""
-        return self.system.lift(self.parted(x), a[: self._nv])
-
-    def mass(self, q: Array) -> Mass:
-        """Mass matrix; internal states have the mass 1."""
-        M, m = np.eye(self.nv), self._nv
-        M[:m, :m] = self.system.mass(q[: self._nq]).dense
-        return Mass(M)
-
-    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h beside the rates."""
-        y = self.parted(State(t, q, v))
-        return np.concatenate((self.system.applied_with(y, u), self.system.rates(y, u)))
-
-
-# ---- equilibrium ------------------------------------------------------------------------------
-# Where internal states start: as given, or at rest under the position, the velocity and u.
-
-
-_CORRECTIONS, _SHORTEST = 60, 1.0e-6  # Newton's steps, and their least share
-_FIRST, _FOLLOWED = 1.0e-2, 200  # of z in a first implicit step, and how many there are
-_STEP = 1.5e-8  # square root of the rounding unit
-_AT_REST, _ROUNDING = 1.0e-9, 1.0e-15  # of z: corrections that may be, and that must be the last
-_LEFT = 1.0e-6  # of a rate: what a correction may leave of it
-
-
 def settled(system: System, y: State, u: Array | None) -> State:
     """A state whose internal states are as given, and else at their first values.
 
@@ -273,6 +271,17 @@ def _determining(
     return rows
 
 
+def _slopes(rates: Callable[[Array], Array], z: Array, r: Array, upper: Array) -> Array:
+    """Differences of m rates, shape (m, n)."""
+    J = np.empty((len(r), len(z)))
+    for i in range(len(z)):
+        moved = z.copy()
+        step = _STEP * max(1.0, abs(float(z[i])))
+        moved[i] += step if z[i] + step <= upper[i] else -step
+        J[:, i] = (rates(moved) - r) / (moved[i] - z[i])
+    return J
+
+
 def _at_rest(
     rates: Callable[[Array], Array], z: Array, bounds: tuple[Array, Array]
 ) -> Array | None:
@@ -307,6 +316,22 @@ def _at_rest(
     return None
 
 
+def _correction(J: Array, r: Array, held: NDArray[np.bool_]) -> tuple[Array, bool]:
+    """The step with r + J step = 0 of what no bound holds, and whether there is one."""
+    step, free = np.zeros(len(r)), ~held
+    part = J[np.ix_(free, free)]
+    size = np.abs(part).max(axis=1, initial=0.0)
+    size[size == 0.0] = 1.0
+    wanted = -r[free] / size
+    step[free] = np.linalg.lstsq(part / size[:, None], wanted, rcond=redundant(len(r)))[0]
+    left = np.abs((part / size[:, None]).dot(step[free]) - wanted)
+    return step, bool((left <= _LEFT * (_ROUNDING + np.abs(wanted))).all())
+
+
+def _size(step: Array, z: Array) -> float:
+    return float((np.abs(step) / (1.0 + np.abs(z))).max(initial=0.0))
+
+
 def _followed(rates: Callable[[Array], Array], z: Array, bounds: tuple[Array, Array]) -> Array:
     """Where the states go by themselves, in implicit steps of growing length.
 
@@ -327,30 +352,3 @@ def _followed(rates: Callable[[Array], Array], z: Array, bounds: tuple[Array, Ar
         z = np.minimum(np.maximum(z + step, lower), upper)
         r, length = rates(z), 2.0 * length
     return z
-
-
-def _slopes(rates: Callable[[Array], Array], z: Array, r: Array, upper: Array) -> Array:
-    """Differences of m rates, shape (m, n)."""
-    J = np.empty((len(r), len(z)))
-    for i in range(len(z)):
-        moved = z.copy()
-        step = _STEP * max(1.0, abs(float(z[i])))
-        moved[i] += step if z[i] + step <= upper[i] else -step
-        J[:, i] = (rates(moved) - r) / (moved[i] - z[i])
-    return J
-
-
-def _correction(J: Array, r: Array, held: NDArray[np.bool_]) -> tuple[Array, bool]:
-    """The step with r + J step = 0 of what no bound holds, and whether there is one."""
-    step, free = np.zeros(len(r)), ~held
-    part = J[np.ix_(free, free)]
-    size = np.abs(part).max(axis=1, initial=0.0)
-    size[size == 0.0] = 1.0
-    wanted = -r[free] / size
-    step[free] = np.linalg.lstsq(part / size[:, None], wanted, rcond=redundant(len(r)))[0]
-    left = np.abs((part / size[:, None]).dot(step[free]) - wanted)
-    return step, bool((left <= _LEFT * (_ROUNDING + np.abs(wanted))).all())
-
-
-def _size(step: Array, z: Array) -> float:
-    return float((np.abs(step) / (1.0 + np.abs(z))).max(initial=0.0))

@@ -1,6 +1,10 @@
 """Forward dynamics with bilateral rows: one factorised solve.
 
-M a + h = tau + J' lam,   J a + drift = -kd g' - kp g
+    M a + h = tau + J' lam,   J a + drift = -kd g' - kp g
+
+The multipliers follow from (J M^-1 J') lam = -(J M^-1 (tau - h) + drift + kd g' + kp g). Pinocchio
+factorises J M^-1 J' while the rows are independent beyond doubt; redundant rows, and rows near a
+toggle, go through its eigenvalues instead. Every answer is checked by J a + drift.
 """
 
 from functools import partial

@@ -1,4 +1,15 @@
-"""The residual of the equation of motion, and derivatives of forces and accelerations."""
+"""Derivatives of forces and accelerations by state and inputs, and the residual of the motion.
+
+`Linearization` differentiates any function by forward differences. `FreeDerivatives` has those of
+the accelerations of an open chain, exact but for those of its loads:
+
+    da = ABA_q dq + ABA_v dv + M^-1 dtau
+
+Loads that do not know their derivatives are differentiated by differences: they are cheap, and
+most of them linear. `Balance` is the residual f = tau - h - M a + J' lam of the equation of motion
+with its slopes, for methods that solve for accelerations. Source: J. Carpentier, N. Mansard,
+Analytical derivatives of rigid body dynamics algorithms, RSS 2018.
+"""
 
 from typing import Any
 
@@ -11,10 +22,6 @@ from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.system import Accelerator, Derivatives, System
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.state import Array, Mode, State
-
-# ---- linearization ----------------------------------------------------------------------------
-# Derivatives of forces or accelerations, for Newton's method.
-
 
 _STEP = 1.5e-8  # square root of the rounding unit: truncation and rounding are alike
 _SPACINGS = 4.0  # of the numbers around a position: a shorter step of it is rounding
@@ -120,19 +127,6 @@ def mode_at(system: System, y: State, u: Array | None) -> Mode:
     return tuple(found[i] if i in near else way for i, way in enumerate(ways))
 
 
-# ---- free derivatives -------------------------------------------------------------------------
-# Derivatives of the accelerations of an open chain, exact but for those of its loads.
-#
-#     da = ABA_q dq + ABA_v dv + M^-1 dtau
-#
-# Loads that do not know their derivatives are differentiated by differences: they are cheap, and
-# most of them linear. Source:
-# J. Carpentier, N. Mansard, Analytical derivatives of rigid body dynamics algorithms, RSS 2018.
-
-
-_FREE_DERIVATIVES_STEP = 1.5e-8  # square root of the rounding unit
-
-
 class FreeDerivatives:
     """Derivatives of q'' and of the rates z' of a mechanism without rows.
 
@@ -201,7 +195,7 @@ class FreeDerivatives:
             self._differ(y, u, found)
         for i in range(nu):
             moved = u.copy()
-            moved[i] += _FREE_DERIVATIVES_STEP * max(1.0, abs(float(u[i])))
+            moved[i] += _STEP * max(1.0, abs(float(u[i])))
             found[:, 2 * nv + nz + i] = (self._loads(y, moved) - force) / (moved[i] - u[i])
         return found
 
@@ -210,9 +204,9 @@ class FreeDerivatives:
         nv, here = self._nv, self._of_varying(y, u)
         inside, step = self._internals.upper, np.zeros(2 * nv + self._nz)
         for i in range(len(step)):
-            step[i] = _FREE_DERIVATIVES_STEP
-            if i >= 2 * nv and y.z[i - 2 * nv] + _FREE_DERIVATIVES_STEP > inside[i - 2 * nv]:
-                step[i] = -_FREE_DERIVATIVES_STEP
+            step[i] = _STEP
+            if i >= 2 * nv and y.z[i - 2 * nv] + _STEP > inside[i - 2 * nv]:
+                step[i] = -_STEP
             found[:, i] += (self._of_varying(self._chart.plus(y, step), u) - here) / step[i]
             step[i] = 0.0
 
@@ -229,8 +223,10 @@ class FreeDerivatives:
         return total
 
 
-# ---- residual force ---------------------------------------------------------------------------
-# The force that lacks for the equation of motion, for methods that solve for accelerations.
+def balance_of(system: Any) -> Any:
+    """The balance of a system that has one of its own, else one by differences."""
+    own = getattr(system, "balance", None)
+    return Balance(system) if own is None else own(system)
 
 
 class Balance:
@@ -271,9 +267,3 @@ class Balance:
 
     def _write(self, t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
         out[...] = self.force(t, q, v, u, *self._at)
-
-
-def balance_of(system: Any) -> Any:
-    """The balance of a system that has one of its own, else one by differences."""
-    own = getattr(system, "balance", None)
-    return Balance(system) if own is None else own(system)

@@ -1,4 +1,8 @@
-"""The mass matrix as an operator, and whether some force meets no resistance."""
+"""The mass matrix M of a configuration as an operator, and whether some force meets no resistance.
+
+A robot can be simulated where x' M x > 0 in all directions x; `check_mass` looks for the direction
+of least resistance, and names the joints or the free base without mass.
+"""
 
 from functools import cached_property
 from typing import Any
@@ -11,8 +15,8 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import MASSLESS, SINGULAR_MASS
 from mbd_ros.errors import SolveError
 
-# ---- mass -------------------------------------------------------------------------------------
-# The mass matrix of a configuration as an operator.
+_SHARE = 0.1  # of the base in the motion without mass, from which on the base is to blame
+_NAMED = 0.3  # share of a joint in that motion, of the largest, to be named
 
 
 class Mass:
@@ -50,14 +54,6 @@ class Mass:
         return eigenpy.LLT(self.dense)
 
 
-# ---- mass check -------------------------------------------------------------------------------
-# Whether some force could move a robot without resistance, where it is to be simulated.
-
-
-_SHARE = 0.1  # of the base in the motion without mass, from which on the base is to blame
-_NAMED = 0.3  # share of a joint in that motion, of the largest, to be named
-
-
 def check_mass(system: Any, q: Array) -> None:
     """Refuse a configuration whose mass matrix is singular.
 
@@ -82,21 +78,6 @@ def check_mass(system: Any, q: Array) -> None:
         resistance, motion = _least_resistance(scaled)
         if not resistance > SINGULAR_MASS * len(M):
             raise SolveError(_reason(system, np.abs(motion), bool(empty.any())))
-
-
-def check_mass_anywhere(system: Any) -> None:
-    """Refuse a system whose mass matrix is singular at any configuration.
-
-    Args:
-        system: A `System`.
-
-    Raises:
-        SolveError: As `check_mass`.
-    """
-    model = system.robot.model
-    away = np.linspace(0.3, 1.1, int(model.nv))
-    q = pin.integrate(model, system.robot.neutral(), away)
-    check_mass(system, system.reduce(State(0.0, q, np.zeros_like(away))).q)
 
 
 def _least_resistance(M: Array) -> tuple[float, Array]:
@@ -143,3 +124,18 @@ def _reason(system: Any, free: Array, is_massless: bool) -> str:
         "is singular at this configuration (gimbal lock), so forward dynamics has no answer; "
         "start from another one"
     )
+
+
+def check_mass_anywhere(system: Any) -> None:
+    """Refuse a system whose mass matrix is singular at any configuration.
+
+    Args:
+        system: A `System`.
+
+    Raises:
+        SolveError: As `check_mass`.
+    """
+    model = system.robot.model
+    away = np.linspace(0.3, 1.1, int(model.nv))
+    q = pin.integrate(model, system.robot.neutral(), away)
+    check_mass(system, system.reduce(State(0.0, q, np.zeros_like(away))).q)

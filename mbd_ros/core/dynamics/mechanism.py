@@ -1,4 +1,12 @@
-"""A robot with what acts on its joints and with rows that hold; answers to impulses."""
+"""A robot with what acts on its joints and with rows that hold.
+
+    Mechanism        M a + h = tau           all joints under loads, and the Pinocchio `Data`
+    RigidRows        g(t, q) = 0             rows that hold whatever multipliers that takes
+    ImpulseResponse  M (v+ - v) = J' p       while bilateral rows keep J_b v+ = goal
+
+The ways of solving for accelerations, and the steps in which velocities jump, are composed of
+them.
+"""
 
 from copy import copy
 
@@ -13,9 +21,6 @@ from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.delassus import RowFactor, UsualSizes, usual_sizes
 from mbd_ros.core.state import NONE, Array, Mode, State
-
-# ---- mechanism --------------------------------------------------------------------------------
-# A robot with its `Data` and what acts on its joints, which the tiers are composed of.
 
 
 class Mechanism:
@@ -87,10 +92,6 @@ class Mechanism:
         return stored + self.loads.potential(self.k, x)
 
 
-# ---- rigid rows -------------------------------------------------------------------------------
-# Rows of a mechanism that hold whatever multipliers that takes.
-
-
 class RigidRows:
     """g(t, q) = 0 of all joints.
 
@@ -153,10 +154,6 @@ class RigidRows:
 
     def _at(self, q: Array) -> tuple[Array, Array]:
         return self._mechanism.mass(q), self.jacobian(0.0, q)
-
-
-# ---- impulse response -------------------------------------------------------------------------
-# How impulses of some rows move joints that bilateral rows hold.
 
 
 _PROJECTIONS = 2  # the second one takes what rounding leaves where rows hold most of a motion

@@ -1,4 +1,8 @@
-"""Forward dynamics of an open chain: M(q) a + h(q, v) = tau."""
+"""Forward dynamics of an open chain: M(q) a + h(q, v) = tau.
+
+`Aba` solves it by the articulated-body algorithm, `Dense` by a factorised mass matrix where loads
+add inertia: (M + M_f) a + h = tau. Both integrate every joint: y is x.
+"""
 
 from functools import partial
 
@@ -10,50 +14,6 @@ from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.dynamics.system import Accelerator, writing
 from mbd_ros.core.state import NONE, Array, State
-
-# ---- all joints -------------------------------------------------------------------------------
-# All joints as coordinates: y is x.
-
-
-class AllJoints:
-    """Coordinates of tiers that integrate every joint.
-
-    Args:
-        mechanism: The mechanism.
-
-    Attributes:
-        chart: Of the configuration.
-    """
-
-    def __init__(self, mechanism: Mechanism) -> None:
-        self._mechanism, self.chart = mechanism, Chart(mechanism.model)
-        self.mass = mechanism.mass
-
-    def expand(self, y: State) -> State:
-        """The same state."""
-        return y
-
-    def reduce(self, x: State) -> State:
-        """The same state."""
-        return x
-
-    def lift(self, y: State, a: Array) -> Array:
-        """The same accelerations, fresh."""
-        return np.array(a)
-
-    def integrated(self, a: Array) -> Array:
-        """The same values."""
-        return a
-
-    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h, shape (nv,)."""
-        mechanism = self._mechanism
-        mechanism.evaluations += 1
-        return mechanism.tau(t, q, v, u) - mechanism.bias(q, v)
-
-
-# ---- aba --------------------------------------------------------------------------------------
-# Forward dynamics of an open chain: M(q) a + h(q, v) = tau.
 
 
 class Aba:
@@ -106,10 +66,6 @@ class Aba:
         return np.array(a), NONE
 
 
-# ---- dense ------------------------------------------------------------------------------------
-# Forward dynamics of an open chain with inertia that loads add: (M + M_f) a + h = tau.
-
-
 class Dense(Aba):
     """Acceleration from state and inputs by a factorised mass matrix.
 
@@ -139,3 +95,40 @@ class Dense(Aba):
     def accelerator(self) -> Accelerator:
         """The function that writes what `accelerate` returns."""
         return writing(self.accelerate)
+
+
+class AllJoints:
+    """Coordinates of tiers that integrate every joint.
+
+    Args:
+        mechanism: The mechanism.
+
+    Attributes:
+        chart: Of the configuration.
+    """
+
+    def __init__(self, mechanism: Mechanism) -> None:
+        self._mechanism, self.chart = mechanism, Chart(mechanism.model)
+        self.mass = mechanism.mass
+
+    def expand(self, y: State) -> State:
+        """The same state."""
+        return y
+
+    def reduce(self, x: State) -> State:
+        """The same state."""
+        return x
+
+    def lift(self, y: State, a: Array) -> Array:
+        """The same accelerations, fresh."""
+        return np.array(a)
+
+    def integrated(self, a: Array) -> Array:
+        """The same values."""
+        return a
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Generalized force tau - h, shape (nv,)."""
+        mechanism = self._mechanism
+        mechanism.evaluations += 1
+        return mechanism.tau(t, q, v, u) - mechanism.bias(q, v)

@@ -1,4 +1,13 @@
-"""What integrators, controllers and jobs ask of the equations of motion of a scene."""
+"""The contract of the equations of motion of a scene, for integrators, controllers and jobs.
+
+    M a + h = tau + J' lam,   J a + drift = 0 of bilateral rows,   laws of the other rows
+
+`System` is what they ask for. A system is composed of a `FreeMotion` in some `Coordinates` and of
+the rows that give way (`composed_system`); `tiers` chooses how it is solved. Queries of systems
+that may have phases stand at the end; they cost nothing where there are none.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
@@ -21,45 +30,9 @@ from mbd_ros.core.state import Array, Evaluation, Mode, State
 if TYPE_CHECKING:
     from mbd_ros.core.contact_modes.event_rows import ExactRows
 
-
-# ---- system -----------------------------------------------------------------------------------
-# What integrators, controllers and jobs ask of the equations of motion of a scene.
-
-
 # t, q, v, u and what is written; with internal states t, q, v, z, u and what is written, a and z'
 Accelerator = Callable[..., None]
-
-
-class Derivatives(NamedTuple):
-    """Derivatives of the accelerations y'' of what is integrated.
-
-    Attributes:
-        q: By steps in the tangent of the configuration, shape (nv, nv).
-        v: By the velocity, shape (nv, nv).
-        z: By the internal states, shape (nv, nz).
-        u: By the inputs, shape (nv, nu).
-        rates: The same of the rates z', (nz,) instead of (nv,); None without internal states.
-        p: By the parameters of a compiled system, shape (nv, np); None where it is not compiled.
-        force: By generalized forces on all joints, shape (nv, nv of the robot); None where that
-            did not come with the others.
-    """
-
-    q: Array
-    v: Array
-    z: Array
-    u: Array
-    rates: "Derivatives | None" = None
-    p: Array | None = None
-    force: Array | None = None
-
-    @property
-    def of_velocities(self) -> tuple[Array, Array]:
-        """Derivatives of (y'', z') by (y, nothing) and by (y', z), shape (nv + nz, nv + nz)."""
-        if self.rates is None:
-            return self.q, self.v
-        none = np.zeros((len(self.q) + self.z.shape[1], self.z.shape[1]))
-        by_q = np.hstack((np.vstack((self.q, self.rates.q)), none))
-        return by_q, np.block([[self.v, self.z], [self.rates.v, self.rates.z]])
+Acceleration = Callable[[float, Array, Array, Array | None], Array]
 
 
 class System(Protocol):
@@ -104,7 +77,7 @@ class System(Protocol):
     constraints: ConstraintRows
     held: RigidRows
     bounded: BoundedRows | None
-    exact: "ExactRows | None"
+    exact: ExactRows | None
     layout: RowLayout
     multiplier_rows: tuple[Row, ...]
     sizes: UsualSizes | None
@@ -149,10 +122,10 @@ class System(Protocol):
             inputs: Whether those by u are wanted; their shape is (nv, 0) otherwise.
         """
 
-    def with_loads(self, loads: Loads) -> "System":
+    def with_loads(self, loads: Loads) -> System:
         """The same robot and rows, built for other loads."""
 
-    def with_gains(self, kp: float, kd: float) -> "System":
+    def with_gains(self, kp: float, kd: float) -> System:
         """The same system with g'' + kd g' + kp g = 0 of rigid rows; kp [1/s^2], kd [1/s]."""
 
     def expand(self, y: State) -> State:
@@ -192,53 +165,36 @@ class System(Protocol):
         """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
 
 
-def evaluation_at(system: System, y: State) -> Callable[[], None]:
-    """An evaluation of accelerations and rates in the mode of a state, for clocks.
-
-    Args:
-        system: The system.
-        y: State of what it integrates.
-    """
-    t, q, v, z, mode = y
-    accelerate, out = system.accelerator(mode), (np.zeros(system.nv), np.zeros(len(z)))
-    if not system.internals.nz:
-        return lambda: accelerate(t, q, v, None, out[0])
-    return lambda: accelerate(t, q, v, z, None, *out)
-
-
-# ---- free motion ------------------------------------------------------------------------------
-# What a system is composed of: coordinates, and accelerations while no row gives way.
-
-
-Acceleration = Callable[[float, Array, Array, Array | None], Array]
-
-
-class Coordinates(Protocol):
-    """What is integrated, called y, and all joints.
+class Derivatives(NamedTuple):
+    """Derivatives of the accelerations y'' of what is integrated.
 
     Attributes:
-        chart: Of y.
+        q: By steps in the tangent of the configuration, shape (nv, nv).
+        v: By the velocity, shape (nv, nv).
+        z: By the internal states, shape (nv, nz).
+        u: By the inputs, shape (nv, nu).
+        rates: The same of the rates z', (nz,) instead of (nv,); None without internal states.
+        p: By the parameters of a compiled system, shape (nv, np); None where it is not compiled.
+        force: By generalized forces on all joints, shape (nv, nv of the robot); None where that
+            did not come with the others.
     """
 
-    chart: Chart
+    q: Array
+    v: Array
+    z: Array
+    u: Array
+    rates: Derivatives | None = None
+    p: Array | None = None
+    force: Array | None = None
 
-    def expand(self, y: State) -> State:
-        """State of all joints."""
-
-    def reduce(self, x: State) -> State:
-        """State of y."""
-
-    def lift(self, y: State, a: Array) -> Array:
-        """Accelerations of all joints from y'', fresh, shape (nv of the robot,)."""
-
-    def integrated(self, a: Array) -> Array:
-        """Those of y among values of all joints."""
-
-    def mass(self, q: Array) -> Array:
-        """Mass matrix of y, shape (nv, nv), overwritten by the next call."""
-
-    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h on y, shape (nv,)."""
+    @property
+    def of_velocities(self) -> tuple[Array, Array]:
+        """Derivatives of (y'', z') by (y, nothing) and by (y', z), shape (nv + nz, nv + nz)."""
+        if self.rates is None:
+            return self.q, self.v
+        none = np.zeros((len(self.q) + self.z.shape[1], self.z.shape[1]))
+        by_q = np.hstack((np.vstack((self.q, self.rates.q)), none))
+        return by_q, np.block([[self.v, self.z], [self.rates.v, self.rates.z]])
 
 
 class FreeMotion(Protocol):
@@ -290,6 +246,34 @@ class FreeMotion(Protocol):
         """
 
 
+class Coordinates(Protocol):
+    """What is integrated, called y, and all joints.
+
+    Attributes:
+        chart: Of y.
+    """
+
+    chart: Chart
+
+    def expand(self, y: State) -> State:
+        """State of all joints."""
+
+    def reduce(self, x: State) -> State:
+        """State of y."""
+
+    def lift(self, y: State, a: Array) -> Array:
+        """Accelerations of all joints from y'', fresh, shape (nv of the robot,)."""
+
+    def integrated(self, a: Array) -> Array:
+        """Those of y among values of all joints."""
+
+    def mass(self, q: Array) -> Array:
+        """Mass matrix of y, shape (nv, nv), overwritten by the next call."""
+
+    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
+        """Generalized force tau - h on y, shape (nv,)."""
+
+
 def writing(accelerate: Acceleration) -> Accelerator:
     """A function of t, q, v, u that writes its result into a fifth argument, shape (nv,)."""
 
@@ -299,8 +283,18 @@ def writing(accelerate: Acceleration) -> Accelerator:
     return write
 
 
-# ---- phase queries ----------------------------------------------------------------------------
-# What is asked of systems that may have phases; nothing is paid for where they have none.
+def evaluation_at(system: System, y: State) -> Callable[[], None]:
+    """An evaluation of accelerations and rates in the mode of a state, for clocks.
+
+    Args:
+        system: The system.
+        y: State of what it integrates.
+    """
+    t, q, v, z, mode = y
+    accelerate, out = system.accelerator(mode), (np.zeros(system.nv), np.zeros(len(z)))
+    if not system.internals.nz:
+        return lambda: accelerate(t, q, v, None, out[0])
+    return lambda: accelerate(t, q, v, z, None, *out)
 
 
 def phased(system: System) -> Any:
