@@ -18,6 +18,8 @@ and the impact says so. Bilateral rows and couplings hold in both. Source: F. Pf
 Multibody Dynamics with Unilateral Contacts, 1996, ch. 8.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -34,22 +36,7 @@ from mbd_ros.core.state import Array, State
 Slots = NDArray[np.intp]
 
 
-class Impact(NamedTuple):
-    """A jump of the velocity.
-
-    Attributes:
-        v: Velocity of all joints after it [rad/s or m/s], shape (nv,).
-        p: Impulses, one a multiplier of the scene [N·s or N·m·s], shape (m,).
-        share: Of the restitution of contacts that was given back: less than 1 where the whole
-            would have gained energy.
-    """
-
-    v: Array
-    p: Array
-    share: float = 1.0
-
-
-class VelocityLevel:
+class ImpactMap:
     """Solves for impacts of one system; has a `Data` of its own.
 
     Dry friction and limited drives are bounded forces and exert no impulse.
@@ -150,3 +137,18 @@ class VelocityLevel:
 
 def _rows(cone: Cone) -> range:
     return range(cone.slots.start, cone.slots.stop)
+
+
+class Impact(NamedTuple):
+    """A jump of the velocity.
+
+    Attributes:
+        v: Velocity of all joints after it [rad/s or m/s], shape (nv,).
+        p: Impulses, one a multiplier of the scene [N·s or N·m·s], shape (m,).
+        share: Of the restitution of contacts that was given back: less than 1 where the whole
+            would have gained energy.
+    """
+
+    v: Array
+    p: Array
+    share: float = 1.0

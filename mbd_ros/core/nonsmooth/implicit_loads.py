@@ -9,6 +9,8 @@ With f' = s f_v + s^2 f_q and r' = s r_v + s^2 r_q one step of Newton's method g
 so that neither stiff loads nor stiff internal states limit a step.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
@@ -20,22 +22,6 @@ from mbd_ros.core.dynamics.open_chain import AllJoints
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.state import Array, State
-
-
-class Slopes(NamedTuple):
-    """The matrices of a step.
-
-    Attributes:
-        added: What loads add to M, symmetric part, shape (nv, nv).
-        push: Force of an increment of internal states, shape (nv, nz).
-        gain: Their increment by h r, shape (nz, nz).
-        by_v: Their increment by dv, shape (nz, nv).
-    """
-
-    added: Array
-    push: Array
-    gain: Array
-    by_v: Array
 
 
 class ImplicitLoads:
@@ -111,6 +97,22 @@ class ImplicitLoads:
         out[:n] = loads.total(k, x, u)
         if self._internals.nz:
             out[n:] = self._internals.rates(k, x, loads.inputs(x, u))
+
+
+class Slopes(NamedTuple):
+    """The matrices of a step.
+
+    Attributes:
+        added: What loads add to M, symmetric part, shape (nv, nv).
+        push: Force of an increment of internal states, shape (nv, nz).
+        gain: Their increment by h r, shape (nz, nz).
+        by_v: Their increment by dv, shape (nz, nv).
+    """
+
+    added: Array
+    push: Array
+    gain: Array
+    by_v: Array
 
 
 def mass_with(M: Array, added: Array) -> Array:

@@ -4,10 +4,19 @@
 
 All rows are in one complementarity problem, with their rates at the end of the step: bilateral
 rows hold, one-sided rows that would close push, and bounded forces act with h times their bounds
-at most. Where rows close faster than the forces of one step make them, an impact divides the step
-where the first of them closes. What is beyond a one-sided row nevertheless is moved out of it, in
-the mass metric. A slip that ends so early in a step that friction would do work along the way
-divides the step, too, and so does a body that turns far beside a contact.
+at most. M and f are those of an intermediate state, at the time theta h with the velocity
+(1 - theta) v + theta v+. One step of Newton's method and a correction solve for v+, with the
+matrix
+
+    K = M - theta h f_v - theta^2 h^2 f_q
+
+of the loads, so that stiff ones do not limit h; `implicit_loads` has K with internal states,
+`unilateral_rows` the linear problem and what solves it without friction, `contact_step` with it.
+
+Where rows close faster than the forces of one step make them, an impact divides the step where the
+first of them closes. What is beyond a one-sided row nevertheless is moved out of it, in the mass
+metric. A slip that ends so early in a step that friction would do work along the way divides the
+step, too, and so does a body that turns far beside a contact.
 
 Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
@@ -19,72 +28,45 @@ from itertools import chain
 
 import numpy as np
 
+from mbd_ros.core.complementarity.unilateral_impulses import PushImpulses
 from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism, RigidRows
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.world_axes import FreeBodies
-from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
+from mbd_ros.core.nonsmooth.impact_map import ImpactMap
 from mbd_ros.core.nonsmooth.implicit_loads import ImplicitLoads, mass_with
 from mbd_ros.core.nonsmooth.unilateral_rows import (
-    GivingWay,
-    MovesOut,
     Slots,
     StepProblem,
     StepRows,
+    UnilateralSolver,
     Which,
-    first_closing,
 )
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock
 from mbd_ros.core.rows.delassus import RowFactor
 from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import HELD_BY_ROWS, LANDED
 from mbd_ros.errors import DivergedError
 
-# ---- time step --------------------------------------------------------------------------------
-# A step in which velocities jump: impacts, stick and gaps hold at its end.
+_IMPACTS = 4  # of one step, which give back; what met rests at once in those after them
+_TURNS = 3  # of slips in one step
+_TURN = 0.5  # rad, on which rows of a contact change by little
+_PARTS = 100  # of a step at most
+_SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which a slip that ends early is looked at
+_WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
+_TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close at one time
+_MOVES = 4  # out of rows; each leaves the square of what the last one left
+_NEAR = 10.0  # gaps that count while others are closed, of how far one of these is beyond 0
 
 
-# The linear problems of steps in which velocities jump.
-#
-# M and f are those of an intermediate state, at the time theta h with (1 - theta) v + theta v+.
-# One step of Newton's method and a correction solve for v+, with the matrix
-#
-#     K = M - theta h f_v - theta^2 h^2 f_q
-#
-# of the loads, so that stiff ones do not limit h. All rows are in one complementarity problem,
-# with their rates at the end of the step.
-
-# Rows that give way in steps of velocities, what solves for them, and how rows come back.
-
-
-def rows_of_step(
-    system: System, mechanism: Mechanism, rows: ConstraintRows, theta: float
-) -> tuple[StepRows, GivingWay]:
-    """The rows that give way in steps, and what solves for them."""
-    if not rows.cones:
-        return StepRows(mechanism, rows), GivingWay(rows)
-    from mbd_ros.core.nonsmooth.contact_step import ContactsInStep, NearContacts
-
-    is_whole = system.nv == system.model.nv
-    return NearContacts(mechanism, rows, is_whole), ContactsInStep(rows, theta)
-
-
-def returns(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:
-    """Rates [1/s] with which rows come back to 0, kp / kd, one a row; 0 without gains."""
-    found = [np.zeros(0)]
-    for block in blocks:
-        kp, kd = (np.broadcast_to(gain, len(block.rows)) for gain in gains or block.gains)
-        found.append(np.divide(kp, kd, out=np.zeros(len(kp)), where=kd > 0.0))
-    return np.concatenate(found)
-
-
-class StepProblems:
-    """Problems of the steps of one system; has a `Data` of its own.
+class MoreauJeanStep:
+    """Steps of one system; has a `Data` of its own.
 
     Args:
         system: The system, under any tier.
         theta: From 1/2, of second order where motion is smooth, to 1, which damps most.
 
     Attributes:
-        giving_way: What solves for rows that give way.
+        row_solver: What solves for unilateral and bounded rows.
     """
 
     def __init__(self, system: System, theta: float) -> None:
@@ -94,10 +76,67 @@ class StepProblems:
         self._loads = ImplicitLoads(mechanism, system.internals)
         gains = system.constraints.gains
         self._rigid = RigidRows(mechanism, ConstraintRows(layout.rigid, nv, gains))
-        self._yielding = ConstraintRows(layout.yielding, nv)
-        self._rows, self.giving_way = rows_of_step(system, mechanism, self._yielding, theta)
+        unilateral = ConstraintRows(layout.yielding, nv)
+        self._slots = unilateral.slots
+        self._rows, self.row_solver = rows_of_step(system, mechanism, unilateral, theta)
         self._return = returns(layout.rigid, gains), returns(layout.yielding)
         self._nothing = np.zeros((0, nv)), np.zeros(0)
+        self._impacts = ImpactMap(system)
+        self._correction = PositionCorrection(mechanism, self._rigid, self._rows)
+
+    def step(self, y: State, u: Array | None, h: float, t: float) -> State:
+        """The state of what is integrated at a time t, after a step of length h [s].
+
+        Args:
+            y: State at the start.
+            u: Inputs; None for safe ones.
+            h: Length [s].
+            t: Time at the end [s].
+
+        Raises:
+            SolveError: Rows contradict one another.
+            DivergedError: Forces are not finite.
+        """
+        self._rows.begin(y.q)
+        begun = self._begun(y, u, h)
+        parts = self._parts(begun[0])
+        if parts == 1:
+            return self._stepped(begun, y, u, t, _TURNS)
+        part = h / parts
+        for left in reversed(range(parts)):
+            y = self._stepped(self._begun(y, u, part), y, u, t - left * part, _TURNS)
+        return y
+
+    def _parts(self, problem: StepProblem) -> int:
+        """Into how many parts a step is divided, so that no body turns far beside a contact."""
+        if not problem.acting.cones:
+            return 1
+        turn = problem.h * max(self._rows.turning(v) for v in (problem.x.v, problem.free))
+        return max(1, math.ceil(min(turn / _TURN, _PARTS)))
+
+    def _stepped(
+        self, begun: tuple[StepProblem, Which], y: State, u: Array | None, t: float, turns: int
+    ) -> State:
+        """The state after a part of a step, which slips that end may divide so many times more."""
+        problem, closed = begun
+        h = problem.h
+        met: list[list[int]] = []
+        while (hits := problem.hits(closed)).any() and len(met) < _IMPACTS + len(self._slots):
+            y, h = self._after_impact(problem, closed, hits, y, met)
+            problem, closed = self._begun(y, u, h)
+        problem, end = self._solved(problem, closed, y, u)
+        turned = self.row_solver.turned(problem, end) if turns else None
+        if turned is not None:
+            if part := self._until(turned, y, u, h):
+                y = self._ended(y, *self._solved(*self._begun(y, u, part), y, u), t - h + part)
+                return self._stepped(self._begun(y, u, h - part), y, u, t, turns - 1)
+            self.row_solver.accept()
+        return self._outside(self._ended(y, problem, end, t))
+
+    def _begun(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
+        """The problem of a step without impacts, and its rows that would be closed."""
+        problem = self._problem(y, u, h)
+        return problem, problem.closed()
 
     def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
         """The linear problem of a step from a state of what is integrated."""
@@ -142,6 +181,14 @@ class StepProblems:
         goal = -(rows.rate(k, x) + late * drift + back * rows.residual(k, x))
         return J, goal, RowFactor(K, J)
 
+    def _solved(
+        self, problem: StepProblem, closed: Which, y: State, u: Array | None
+    ) -> tuple[StepProblem, Array]:
+        """The problem with forces on the way to its end, and the velocity there."""
+        end = self.row_solver.end(problem, closed, problem.free)
+        problem = self._corrected(problem, y, u, end)
+        return problem, self.row_solver.end(problem, closed, problem.free, end)
+
     def _corrected(
         self, problem: StepProblem, y: State, u: Array | None, end: Array
     ) -> StepProblem:
@@ -174,119 +221,12 @@ class StepProblems:
         """The part of g'' without the change of velocities as a step counts them."""
         return drift
 
-
-_IMPACTS = 4  # of one step, which give back; what met rests at once in those after them
-_TURNS = 3  # of slips in one step
-_TURN = 0.5  # rad, on which rows of a contact change by little
-_PARTS = 100  # of a step at most
-_SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which a slip that ends early is looked at
-_WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
-_TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close at one time
-_MOVES = 4  # out of rows; each leaves the square of what the last one left
-
-
-class VelocityStep(StepProblems):
-    """Steps of one system; has a `Data` of its own.
-
-    Args:
-        system: The system, under any tier.
-        theta: From 1/2, of second order where motion is smooth, to 1, which damps most.
-
-    Attributes:
-        giving_way: What solves for rows that give way.
-    """
-
-    def __init__(self, system: System, theta: float) -> None:
-        super().__init__(system, theta)
-        self._level, self._slots = VelocityLevel(system), self._yielding.slots
-        self._moves_out = MovesOut(self._mechanism, self._rigid, self._rows)
-
-    def step(self, y: State, u: Array | None, h: float, t: float) -> State:
-        """The state of what is integrated at a time t, after a step of length h [s].
-
-        Args:
-            y: State at the start.
-            u: Inputs; None for safe ones.
-            h: Length [s].
-            t: Time at the end [s].
-
-        Raises:
-            SolveError: Rows contradict one another.
-            DivergedError: Forces are not finite.
-        """
-        self._rows.begin(y.q)
-        begun = self._begun(y, u, h)
-        parts = self._parts(begun[0])
-        if parts == 1:
-            return self._stepped(begun, y, u, t, _TURNS)
-        part = h / parts
-        for left in reversed(range(parts)):
-            y = self._stepped(self._begun(y, u, part), y, u, t - left * part, _TURNS)
-        return y
-
-    def _parts(self, problem: StepProblem) -> int:
-        """Into how many parts a step is divided, so that no body turns far beside a contact."""
-        if not problem.acting.cones:
-            return 1
-        turn = problem.h * max(self._rows.turning(v) for v in (problem.x.v, problem.free))
-        return max(1, math.ceil(min(turn / _TURN, _PARTS)))
-
-    def _stepped(
-        self, begun: tuple[StepProblem, Which], y: State, u: Array | None, t: float, turns: int
-    ) -> State:
-        """The state after a part of a step, which slips that end may divide so many times more."""
-        problem, closed = begun
-        h = problem.h
-        met: list[list[int]] = []
-        while (hits := problem.hits(closed)).any() and len(met) < _IMPACTS + len(self._slots):
-            y, h = self._after_impact(problem, closed, hits, y, met)
-            problem, closed = self._begun(y, u, h)
-        problem, end = self._solved(problem, closed, y, u)
-        turned = self.giving_way.turned(problem, end) if turns else None
-        if turned is not None:
-            if part := self._until(turned, y, u, h):
-                y = self._ended(y, *self._solved(*self._begun(y, u, part), y, u), t - h + part)
-                return self._stepped(self._begun(y, u, h - part), y, u, t, turns - 1)
-            self.giving_way.accept()
-        return self._outside(self._ended(y, problem, end, t))
-
-    def _begun(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
-        """The problem of a step without impacts, and its rows that would be closed."""
-        problem = self._problem(y, u, h)
-        return problem, problem.closed()
-
-    def _solved(
-        self, problem: StepProblem, closed: Which, y: State, u: Array | None
-    ) -> tuple[StepProblem, Array]:
-        """The problem with forces on the way to its end, and the velocity there."""
-        end = self.giving_way.end(problem, closed, problem.free)
-        problem = self._corrected(problem, y, u, end)
-        return problem, self.giving_way.end(problem, closed, problem.free, end)
-
-    def _ended(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
-        way = problem.h * ((1.0 - self._theta) * problem.x.v + self._theta * end)
-        dz = problem.dz(end)
-        back = self.giving_way.given_back(problem, end)
-        if back is not None:
-            energy, ways = self._system.energy, (way, way - back)
-            way = min(ways, key=lambda w: energy(self._moved(y, w, end, dz, t)))
-        return self._moved(y, way, end, dz, t)
-
-    def _until(self, turned: Slots, y: State, u: Array | None, h: float) -> float:
-        """When the first of some slips ends within a step [s]; 0 where none is seen to."""
-        for share in _SHARES:
-            problem, end = self._solved(*self._begun(y, u, share * h), y, u)
-            part = self.giving_way.ending(turned, problem, end)
-            if part:
-                return part if part < _WHOLE * h else 0.0
-        return 0.0
-
     def _after_impact(
         self, problem: StepProblem, closed: Which, hits: Which, y: State, met: list[list[int]]
     ) -> tuple[State, float]:
         """State after the next impact of a step, and what is left of it [s]; adds to what met."""
         v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
-        end = self.giving_way.pushed(problem, closed & ~hits, problem.free)
+        end = self.row_solver.pushed(problem, closed & ~hits, problem.free)
         gained = (end - v) / h
         bent = problem.J.dot(gained)
         wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)
@@ -298,8 +238,26 @@ class VelocityStep(StepProblems):
         before = v + wait * gained
         way, dz = 0.5 * wait * (v + before), wait / h * problem.dz(end)
         y = self._moved(y, way, before, dz, y.t + wait)
-        v = self._level.impact(self._system.expand(y), slots, expands=expands).v
+        v = self._impacts.impact(self._system.expand(y), slots, expands=expands).v
         return y._replace(v=np.array(self._system.integrated(v))), h - wait
+
+    def _until(self, turned: Slots, y: State, u: Array | None, h: float) -> float:
+        """When the first of some slips ends within a step [s]; 0 where none is seen to."""
+        for share in _SHARES:
+            problem, end = self._solved(*self._begun(y, u, share * h), y, u)
+            part = self.row_solver.ending(turned, problem, end)
+            if part:
+                return part if part < _WHOLE * h else 0.0
+        return 0.0
+
+    def _ended(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
+        way = problem.h * ((1.0 - self._theta) * problem.x.v + self._theta * end)
+        dz = problem.dz(end)
+        back = self.row_solver.given_back(problem, end)
+        if back is not None:
+            energy, ways = self._system.energy, (way, way - back)
+            way = min(ways, key=lambda w: energy(self._moved(y, w, end, dz, t)))
+        return self._moved(y, way, end, dz, t)
 
     def _outside(self, y: State) -> State:
         """The state with no one-sided row beyond 0, moved the least in the mass metric."""
@@ -307,7 +265,7 @@ class VelocityStep(StepProblems):
             return y
         for _ in range(_MOVES):
             x = self._system.expand(y)
-            way = self._moves_out.way(x)
+            way = self._correction.way(x)
             if way is None:
                 break
             y = self._moved(y, way, x.v, 0.0 * y.z, y.t)
@@ -322,21 +280,17 @@ class VelocityStep(StepProblems):
         return State(t, q, np.array(system.integrated(v)), z, y.mode)
 
 
-# ---- free body step ---------------------------------------------------------------------------
-# Steps of velocities with free bodies, whose axes turn within a step.
-#
-# A velocity v of a free body stands in its own axes, so that it changes where the body turns:
-# v' = R' a - w x v. A step that counts this as a change of the motion errs by (w h)^2 of the
-# velocity of a ball that spins. Here the linear velocities of a step stand in the axes of its
-# intermediate state, where free bodies keep them.
+class FreeBodyStep(MoreauJeanStep):
+    """Steps of a system with free bodies, whose axes turn within a step.
 
-
-class FreeBodyStep(VelocityStep):
-    """Steps of one system with free bodies; has a `Data` of its own.
+    A velocity v of a free body stands in its own axes, so that it changes where the body turns:
+    v' = R' a - w x v. A step that counts this as a change of the motion errs by (w h)^2 of the
+    velocity of a ball that spins. Here the linear velocities of a step stand in the axes of its
+    intermediate state, where free bodies keep them.
 
     Args:
         system: The system, under any tier.
-        theta: As for all systems.
+        theta: As of `MoreauJeanStep`.
     """
 
     def __init__(self, system: System, theta: float) -> None:
@@ -390,3 +344,71 @@ class FreeBodyStep(VelocityStep):
         """The state with no one-sided row beyond 0, moved the least in the mass metric."""
         self._axes = self._integrated.axes(y.q)
         return super()._outside(y)
+
+
+def rows_of_step(
+    system: System, mechanism: Mechanism, rows: ConstraintRows, theta: float
+) -> tuple[StepRows, UnilateralSolver]:
+    """The unilateral and bounded rows of steps, and what solves for them."""
+    if not rows.cones:
+        return StepRows(mechanism, rows), UnilateralSolver(rows)
+    from mbd_ros.core.nonsmooth.contact_screening import ContactScreening
+    from mbd_ros.core.nonsmooth.contact_step import ContactSolver
+
+    is_whole = system.nv == system.model.nv
+    return ContactScreening(mechanism, rows, is_whole), ContactSolver(rows, theta)
+
+
+def returns(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:
+    """Rates [1/s] with which rows come back to 0, kp / kd, one a row; 0 without gains."""
+    found = [np.zeros(0)]
+    for block in blocks:
+        kp, kd = (np.broadcast_to(gain, len(block.rows)) for gain in gains or block.gains)
+        found.append(np.divide(kp, kd, out=np.zeros(len(kp)), where=kd > 0.0))
+    return np.concatenate(found)
+
+
+def first_closing(gap: Array, rate: Array, bent: Array) -> float:
+    """The first time at which a gap is 0 [s], rates negative; 0 where one has no room left."""
+    root = np.sqrt(np.maximum(rate * rate - 2.0 * bent * gap, 0.0))
+    return max(float((2.0 * gap / (root - rate)).min()), 0.0)
+
+
+class PositionCorrection:
+    """Finds the least displacement, in the mass metric, out of one-sided rows that are beyond 0.
+
+        min |d|_M   subject to   g + J d >= 0,   J_b d = 0 of bilateral rows
+
+    Args:
+        mechanism: The mechanism.
+        rigid: Its bilateral rows, which hold on the way.
+        rows: The rows that give way.
+    """
+
+    def __init__(self, mechanism: Mechanism, rigid: RigidRows, rows: StepRows) -> None:
+        self._mechanism, self._rigid, self._rows = mechanism, rigid, rows
+        self._no_rows = np.zeros((0, int(mechanism.model.nv)))
+
+    def way(self, x: State) -> Array | None:
+        """The way of all joints from a state of them, shape (nv,); None where no row is beyond 0.
+
+        Args:
+            x: The state.
+        """
+        rows, rigid = self._rows, self._rigid
+        gap = rows.gaps(x)
+        if gap is None or (least := float(gap.min())) >= -LANDED:
+            return None
+        near = np.flatnonzero(gap <= -_NEAR * least)
+        J = rows.jacobian(x, near)
+        M = np.array(self._mechanism.mass(x.q))
+        hold = rigid.jacobian(x.t, x.q) if rigid.rows else self._no_rows
+        factor = rigid.factorise(M, hold) if rigid.rows else None
+        response = ImpulseResponse(M, J, hold, factor)
+        if len(near) == 1 and response.A[0, 0] > HELD_BY_ROWS * response.loose[0]:
+            alone: Array = response.X[:, 0] * (-least / float(response.A[0, 0]))
+            return alone
+        names = [rows.every.names[i] for i in near]
+        p, _ = PushImpulses(response.G, response.loose, names).nearest(gap[near], 0.0)
+        together: Array = response.X.dot(p)
+        return together

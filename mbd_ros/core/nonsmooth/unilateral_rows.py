@@ -1,4 +1,19 @@
-"""Rows between bounds in a step of velocities: stops, dry friction, limited drives."""
+"""Unilateral and bounded rows in a step of Moreau and Jean: stops, dry friction, limited drives.
+
+`StepProblem` is the linear problem of a step. In it the rows have the rates
+
+    w = J v+ + offset,   v+ = free + K^-1 J' p
+
+at the end of the step, and impulses p that push or stay within h times their bounds. A one-sided
+row acts where its gap would close: with constant accelerations it goes
+
+    gap + h ((1 - theta) rate + theta w)
+
+and a row that acts may keep the rate that its gap leaves. `UnilateralSolver` solves for the
+impulses; contacts with friction have a solver of their own, in `contact_step`.
+"""
+
+from __future__ import annotations
 
 from typing import Any, NamedTuple
 
@@ -7,169 +22,15 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.complementarity.bounded_rows import BoundedImpulses
 from mbd_ros.core.complementarity.unilateral_impulses import PushImpulses
-from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism, RigidRows
+from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.nonsmooth.implicit_loads import Slopes
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import Cone, ConstraintRows
 from mbd_ros.core.state import Array, State
-from mbd_ros.core.thresholds import HELD_BY_ROWS, LANDED
-
-# ---- unilateral rows --------------------------------------------------------------------------
-# Rows that give way, as far as they may act in a step.
-
 
 Which = NDArray[np.bool_]
 Slots = NDArray[np.intp]
-
-
-class Acting(NamedTuple):
-    """Rows that may act in a step.
-
-    Attributes:
-        at: Where they stand among all rows that give way, shape (m,).
-        names: One a row.
-        pushes: Which are one-sided, normals of contacts among them, shape (m,).
-        decides: Which row says whether it acts: of a contact its normal, else itself.
-        cones: The contacts, their slots counted here.
-        tangents: Their rows along tangents, shape (2 n,).
-    """
-
-    at: NDArray[np.intp]
-    names: list[str]
-    pushes: Which
-    decides: NDArray[np.intp]
-    cones: tuple[Cone, ...]
-    tangents: NDArray[np.intp]
-
-    def chosen(self, on: NDArray[np.intp]) -> "Acting":
-        """Some of them; of a contact all rows or none.
-
-        Args:
-            on: Their places here, in the order that is wanted.
-        """
-        own = np.full(len(self.at), -1, dtype=np.intp)
-        own[on] = np.arange(len(on))
-        starts = [(cone, int(own[cone.slots.start])) for cone in self.cones]
-        cones = (c._replace(slots=slice(start, start + 3)) for c, start in starts if start >= 0)
-        names = [self.names[i] for i in on.tolist()]
-        return _acting(self.at[on], names, self.pushes[on], tuple(cones))
-
-
-class RowsAt(NamedTuple):
-    """Rows at one state.
-
-    Attributes:
-        acting: Which they are.
-        J: Their Jacobian, shape (m, nv).
-        drift: Their J' v, shape (m,).
-        gap: Their g, shape (m,).
-        own: Their g' without J v, shape (m,).
-    """
-
-    acting: Acting
-    J: Array
-    drift: Array
-    gap: Array
-    own: Array
-
-
-def every(rows: ConstraintRows) -> Acting:
-    """All rows that give way."""
-    pushes = np.zeros(len(rows.rows), dtype=np.bool_)
-    for block, mine in zip(rows.blocks, rows.slices, strict=True):
-        pushes[mine] = block.law.kind is Kind.UNILATERAL
-    for cone in rows.cones:
-        pushes[cone.slots.start] = True
-    return _acting(np.arange(len(pushes)), [row.name for row in rows.rows], pushes, rows.cones)
-
-
-def _acting(
-    at: NDArray[np.intp], names: list[str], pushes: Which, cones: tuple[Cone, ...]
-) -> Acting:
-    decides = np.arange(len(at))
-    for cone in cones:
-        decides[cone.slots] = cone.slots.start
-    tangents = np.flatnonzero(decides != np.arange(len(at)))
-    return Acting(at, names, pushes, decides, cones, tangents)
-
-
-class StepRows:
-    """All rows that give way, in every step.
-
-    Args:
-        mechanism: The mechanism.
-        rows: The rows.
-
-    Attributes:
-        rows: As given.
-        every: All of them.
-        are_one_sided: Whether any row only pushes.
-    """
-
-    def __init__(self, mechanism: Mechanism, rows: ConstraintRows) -> None:
-        self._k, self.rows, self.every = mechanism.k, rows, every(rows)
-        self.are_one_sided = bool(self.every.pushes.any())
-        self._of_g, self._of_J = (
-            min(rows.reads, reads) for reads in (Reads.POSITION, Reads.JACOBIAN)
-        )
-
-    def turning(self, v: Array) -> float:
-        """How fast bodies beside contacts turn with a velocity of all joints [rad/s]."""
-        return 0.0
-
-    def begin(self, q: Array) -> None:
-        """Learn from which configuration of what is integrated a step starts."""
-
-    def moved(self, q: Array, way: Array) -> None:
-        """Learn to which configuration all joints moved, and how far, shape (nv,)."""
-
-    def at(self, x: State, free: Array, h: float) -> RowsAt:
-        """The rows at a state of all joints, with bounds that are those of it.
-
-        Args:
-            x: The state, on the way of a step.
-            free: Velocity at its end without the rows, shape (nv,).
-            h: Its length [s].
-        """
-        k, rows = self._k, self.rows
-        k.refresh(x.q, x.v, rows.reads)
-        if rows.varies:
-            rows.limit(k, x)
-        J, drift = (each.copy() for each in rows.accelerations(k, x))
-        return RowsAt(self.every, J, drift, rows.residual(k, x), rows.rate(k, x))
-
-    def gaps(self, x: State) -> Array | None:
-        """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
-
-        Returns:
-            None where no row may be beyond 0.
-        """
-        self._k.refresh(x.q, x.v, self._of_g)
-        return np.where(self.every.pushes, self.rows.residual(self._k, x), np.inf)
-
-    def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
-        """How impulses of the rows move the joints.
-
-        Args:
-            held: What moves them, for other rows.
-            K: Its mass matrix, shape (nv, nv).
-            J: The rows, shape (m, nv).
-        """
-        return held.of(J)
-
-    def jacobian(self, x: State, on: NDArray[np.intp]) -> Array:
-        """Some rows of dg/dq at a state of all joints."""
-        self._k.refresh(x.q, x.v, self._of_J)
-        return self.rows.jacobian(self._k, x)[on]
-
-
-# ---- step problem -----------------------------------------------------------------------------
-# What a step of velocities has to solve, and which of its rows close on the way.
-#
-# With constant accelerations a gap goes gap + rate t + bent t^2 / 2.
-
-
 _SLIGHT = 1.0e-12  # a rate that is none, of the largest velocity
 _ROUNDING = 1.0e-9  # the same of rows between which nothing else moves
 
@@ -272,17 +133,7 @@ class StepProblem(NamedTuple):
         return np.where(self.acting.pushes[on], room, 0.0)
 
 
-def first_closing(gap: Array, rate: Array, bent: Array) -> float:
-    """The first time at which a gap is 0 [s], rates negative; 0 where one has no room left."""
-    root = np.sqrt(np.maximum(rate * rate - 2.0 * bent * gap, 0.0))
-    return max(float((2.0 * gap / (root - rate)).min()), 0.0)
-
-
-# ---- bounded rows -----------------------------------------------------------------------------
-# Rows that give way in a step of velocities: stops, dry friction, limited drives.
-
-
-class GivingWay:
+class UnilateralSolver:
     """One complementarity problem a step for all rows that give way.
 
     Args:
@@ -366,46 +217,142 @@ class GivingWay:
         return problem.h * self._rows.lower[at], problem.h * self._rows.upper[at]
 
 
-# ---- position correction ----------------------------------------------------------------------
-# The way out of one-sided rows that are beyond 0, the least in the mass metric.
-
-
-_NEAR = 10.0  # gaps that count while others are closed, of how far one of these is beyond 0
-
-
-class MovesOut:
-    """Finds ways out of one-sided rows.
+class StepRows:
+    """All rows that give way, in every step.
 
     Args:
         mechanism: The mechanism.
-        rigid: Its bilateral rows, which hold on the way.
-        rows: The rows that give way.
+        rows: The rows.
+
+    Attributes:
+        rows: As given.
+        every: All of them.
+        are_one_sided: Whether any row only pushes.
     """
 
-    def __init__(self, mechanism: Mechanism, rigid: RigidRows, rows: StepRows) -> None:
-        self._mechanism, self._rigid, self._rows = mechanism, rigid, rows
-        self._no_rows = np.zeros((0, int(mechanism.model.nv)))
+    def __init__(self, mechanism: Mechanism, rows: ConstraintRows) -> None:
+        self._k, self.rows, self.every = mechanism.k, rows, every(rows)
+        self.are_one_sided = bool(self.every.pushes.any())
+        self._of_g, self._of_J = (
+            min(rows.reads, reads) for reads in (Reads.POSITION, Reads.JACOBIAN)
+        )
 
-    def way(self, x: State) -> Array | None:
-        """The way of all joints from a state of them, shape (nv,); None where no row is beyond 0.
+    def turning(self, v: Array) -> float:
+        """How fast bodies beside contacts turn with a velocity of all joints [rad/s]."""
+        return 0.0
+
+    def begin(self, q: Array) -> None:
+        """Learn from which configuration of what is integrated a step starts."""
+
+    def moved(self, q: Array, way: Array) -> None:
+        """Learn to which configuration all joints moved, and how far, shape (nv,)."""
+
+    def at(self, x: State, free: Array, h: float) -> RowsAt:
+        """The rows at a state of all joints, with bounds that are those of it.
 
         Args:
-            x: The state.
+            x: The state, on the way of a step.
+            free: Velocity at its end without the rows, shape (nv,).
+            h: Its length [s].
         """
-        rows, rigid = self._rows, self._rigid
-        gap = rows.gaps(x)
-        if gap is None or (least := float(gap.min())) >= -LANDED:
-            return None
-        near = np.flatnonzero(gap <= -_NEAR * least)
-        J = rows.jacobian(x, near)
-        M = np.array(self._mechanism.mass(x.q))
-        hold = rigid.jacobian(x.t, x.q) if rigid.rows else self._no_rows
-        factor = rigid.factorise(M, hold) if rigid.rows else None
-        response = ImpulseResponse(M, J, hold, factor)
-        if len(near) == 1 and response.A[0, 0] > HELD_BY_ROWS * response.loose[0]:
-            alone: Array = response.X[:, 0] * (-least / float(response.A[0, 0]))
-            return alone
-        names = [rows.every.names[i] for i in near]
-        p, _ = PushImpulses(response.G, response.loose, names).nearest(gap[near], 0.0)
-        together: Array = response.X.dot(p)
-        return together
+        k, rows = self._k, self.rows
+        k.refresh(x.q, x.v, rows.reads)
+        if rows.varies:
+            rows.limit(k, x)
+        J, drift = (each.copy() for each in rows.accelerations(k, x))
+        return RowsAt(self.every, J, drift, rows.residual(k, x), rows.rate(k, x))
+
+    def gaps(self, x: State) -> Array | None:
+        """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
+
+        Returns:
+            None where no row may be beyond 0.
+        """
+        self._k.refresh(x.q, x.v, self._of_g)
+        return np.where(self.every.pushes, self.rows.residual(self._k, x), np.inf)
+
+    def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
+        """How impulses of the rows move the joints.
+
+        Args:
+            held: What moves them, for other rows.
+            K: Its mass matrix, shape (nv, nv).
+            J: The rows, shape (m, nv).
+        """
+        return held.of(J)
+
+    def jacobian(self, x: State, on: NDArray[np.intp]) -> Array:
+        """Some rows of dg/dq at a state of all joints."""
+        self._k.refresh(x.q, x.v, self._of_J)
+        return self.rows.jacobian(self._k, x)[on]
+
+
+class RowsAt(NamedTuple):
+    """Rows at one state.
+
+    Attributes:
+        acting: Which they are.
+        J: Their Jacobian, shape (m, nv).
+        drift: Their J' v, shape (m,).
+        gap: Their g, shape (m,).
+        own: Their g' without J v, shape (m,).
+    """
+
+    acting: Acting
+    J: Array
+    drift: Array
+    gap: Array
+    own: Array
+
+
+class Acting(NamedTuple):
+    """Rows that may act in a step.
+
+    Attributes:
+        at: Where they stand among all rows that give way, shape (m,).
+        names: One a row.
+        pushes: Which are one-sided, normals of contacts among them, shape (m,).
+        decides: Which row says whether it acts: of a contact its normal, else itself.
+        cones: The contacts, their slots counted here.
+        tangents: Their rows along tangents, shape (2 n,).
+    """
+
+    at: NDArray[np.intp]
+    names: list[str]
+    pushes: Which
+    decides: NDArray[np.intp]
+    cones: tuple[Cone, ...]
+    tangents: NDArray[np.intp]
+
+    def chosen(self, on: NDArray[np.intp]) -> Acting:
+        """Some of them; of a contact all rows or none.
+
+        Args:
+            on: Their places here, in the order that is wanted.
+        """
+        own = np.full(len(self.at), -1, dtype=np.intp)
+        own[on] = np.arange(len(on))
+        starts = [(cone, int(own[cone.slots.start])) for cone in self.cones]
+        cones = (c._replace(slots=slice(start, start + 3)) for c, start in starts if start >= 0)
+        names = [self.names[i] for i in on.tolist()]
+        return _acting(self.at[on], names, self.pushes[on], tuple(cones))
+
+
+def _acting(
+    at: NDArray[np.intp], names: list[str], pushes: Which, cones: tuple[Cone, ...]
+) -> Acting:
+    decides = np.arange(len(at))
+    for cone in cones:
+        decides[cone.slots] = cone.slots.start
+    tangents = np.flatnonzero(decides != np.arange(len(at)))
+    return Acting(at, names, pushes, decides, cones, tangents)
+
+
+def every(rows: ConstraintRows) -> Acting:
+    """All rows that give way."""
+    pushes = np.zeros(len(rows.rows), dtype=np.bool_)
+    for block, mine in zip(rows.blocks, rows.slices, strict=True):
+        pushes[mine] = block.law.kind is Kind.UNILATERAL
+    for cone in rows.cones:
+        pushes[cone.slots.start] = True
+    return _acting(np.arange(len(pushes)), [row.name for row in rows.rows], pushes, rows.cones)

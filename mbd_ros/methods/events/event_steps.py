@@ -9,7 +9,7 @@ import numpy as np
 from mbd_ros.core.contact_modes.event_rows import ExactRows
 from mbd_ros.core.contact_modes.row_distances import rounding
 from mbd_ros.core.dynamics.system import System
-from mbd_ros.core.nonsmooth.impact_map import Impact, VelocityLevel
+from mbd_ros.core.nonsmooth.impact_map import Impact, ImpactMap
 from mbd_ros.core.state import Array, Memory, Mode, State
 from mbd_ros.errors import JammedError, SolveError
 from mbd_ros.methods.events.clearance import Clearance
@@ -51,7 +51,7 @@ class Impacts:
 
     def __init__(self, system: System, rows: ExactRows, gaps: Sequence[int]) -> None:
         self._system, self._rows, self._gaps = system, rows, tuple(gaps)
-        self._level = VelocityLevel(system)
+        self._level = ImpactMap(system)
 
     def closed(self, y: State) -> list[int]:
         """Gaps that are closed to within rounding."""

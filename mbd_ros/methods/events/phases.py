@@ -12,7 +12,7 @@ from mbd_ros.core.contracts import Guard, Now, Part, label
 from mbd_ros.core.dynamics.phased_system import PhasedSystem
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
-from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
+from mbd_ros.core.nonsmooth.impact_map import ImpactMap
 from mbd_ros.core.state import Array, Memory, State
 from mbd_ros.core.thresholds import ASSEMBLED
 from mbd_ros.errors import SolveError
@@ -117,7 +117,7 @@ class PhaseReset:
         self._size, self._slots, self._touching = size, slots, touching
         self.demands = tuple(demands)
         self.striking, self.relabelling = striking, relabelling
-        self._level = None if striking is None else VelocityLevel(striking)
+        self._level = None if striking is None else ImpactMap(striking)
 
     def after(self, x: State) -> Struck:
         """State of all joints after it.

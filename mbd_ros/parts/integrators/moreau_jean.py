@@ -5,7 +5,7 @@ from typing import Annotated, Any, ClassVar
 
 import numpy as np
 
-from mbd_ros.core.nonsmooth.moreau_jean_step import VelocityStep
+from mbd_ros.core.nonsmooth.moreau_jean_step import FreeBodyStep, MoreauJeanStep
 from mbd_ros.core.ranges import Within
 from mbd_ros.core.state import Array, State
 from mbd_ros.methods.integration.stepping import Integrator, Stepper, clip
@@ -45,12 +45,13 @@ class _Steps(Stepper):
     kept: ClassVar[tuple[str, ...]] = ("impulses", "shared")
 
     def __init__(self, system: Any, theta: float, dt: float) -> None:
-        self._at, self._dt = _velocity_step(system, theta), dt
+        step = FreeBodyStep if system.robot.bases else MoreauJeanStep
+        self._at, self._dt = step(system, theta), dt
 
     def restart(self) -> None:
         """Forget the impulses and the residuals of earlier steps."""
         self.impulses, self.shared = np.zeros_like(self.impulses), ()
-        self._at.giving_way.forces = None
+        self._at.row_solver.forces = None
         self.forget_residuals()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
@@ -61,39 +62,31 @@ class _Steps(Stepper):
     @property
     def impulses(self) -> Array:
         """Impulses of contacts in the last step, with which the next one begins."""
-        return self._at.giving_way.last
+        return self._at.row_solver.last
 
     @impulses.setter
     def impulses(self, impulses: Array) -> None:
-        self._at.giving_way.last = impulses
+        self._at.row_solver.last = impulses
 
     @property
     def shared(self) -> tuple[Any, ...]:
         """Of which rows these are, and what their impulses did, where they are of least norm."""
-        return self._at.giving_way.shared
+        return self._at.row_solver.shared
 
     @shared.setter
     def shared(self, shared: tuple[Any, ...]) -> None:
-        self._at.giving_way.shared = shared
+        self._at.row_solver.shared = shared
 
     @property
     def residuals(self) -> Any:
         """Worst residuals of contacts; None without contacts."""
-        return self._at.giving_way.worst
+        return self._at.row_solver.worst
 
     @property
     def forces(self) -> Array | None:
         """Mean forces of rows that give way in the last step; None without contacts."""
-        return self._at.giving_way.forces
+        return self._at.row_solver.forces
 
     def forget_residuals(self) -> None:
         """Begin to look for the worst residuals anew."""
-        self._at.giving_way.forget()
-
-
-def _velocity_step(system: Any, theta: float) -> VelocityStep:
-    if not system.robot.bases:
-        return VelocityStep(system, theta)
-    from mbd_ros.core.nonsmooth.moreau_jean_step import FreeBodyStep
-
-    return FreeBodyStep(system, theta)
+        self._at.row_solver.forget()

@@ -10,7 +10,7 @@ from velocity_level import system_of
 
 from mbd_ros.core.complementarity.contact_cone import cone_contact
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
+from mbd_ros.core.nonsmooth.impact_map import ImpactMap
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
 
@@ -114,7 +114,7 @@ def test_a_point_mass_bounces_as_by_hand(e, mu, slide):
     """Normal -e v_n; friction takes mu (1 + e) v_n off the slip, or all of it."""
     part = touch_down(POINT, "bob", (0, 0, 2.0), friction=mu, restitution=e)
     v = np.array((*slide, -1.5))
-    found = VelocityLevel(system_of(POINT, [part])).impact(State(0.0, np.zeros(3), v), [0])
+    found = ImpactMap(system_of(POINT, [part])).impact(State(0.0, np.zeros(3), v), [0])
     speed = np.hypot(*slide)
     left = max(1.0 - mu * (1.0 + e) * 1.5 / speed, 0.0) if speed else 0.0
     assert found.v == pytest.approx([*(left * v[:2]), 1.5 * e], abs=1e-14)
@@ -127,7 +127,7 @@ def test_a_point_that_nothing_moves_is_no_contact():
     """A pendulum whose tip can not move along the normal: approach by rate alone is refused."""
     robot = read_robot(mechanisms.chain(1))
     part = touch_down(robot, "rod_1", (0, 0, 1), friction=0.3)
-    level = VelocityLevel(system_of(robot, [part]))
+    level = ImpactMap(system_of(robot, [part]))
     x = State(0.0, np.zeros(1), np.ones(1))
     assert level.impact(x, [0]).v == pytest.approx([1.0])
     part.rate = lambda k, x: np.array((-1.0, 0.0, 0.0))

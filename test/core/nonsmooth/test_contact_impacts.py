@@ -10,7 +10,7 @@ from velocity_level import consistent, inertia, keeps, robot_of, system_of
 
 import mbd_ros as mbd
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.nonsmooth.impact_map import Impact, VelocityLevel
+from mbd_ros.core.nonsmooth.impact_map import Impact, ImpactMap
 from mbd_ros.core.state import State
 from mbd_ros.parts.constraints.joint_stop import JointStop
 
@@ -54,7 +54,7 @@ def impacts(count, seed):
         if i % 5 == 0 and kind != "loop":
             parts.append(JointStop(robot, joint=robot.joints[-1].name, lower=-9.0, upper=9.0))
         system = system_of(robot, parts, coupled)
-        level, hold, layout = VelocityLevel(system), keeps(system), system.layout
+        level, hold, layout = ImpactMap(system), keeps(system), system.layout
         first = len(layout.rows) - sum(len(block.rows) for block in layout.yielding)
         for _ in range(4):
             q = pin.integrate(robot.model, robot.neutral(), rng.uniform(-1, 1, robot.model.nv))
@@ -112,9 +112,9 @@ def test_ten_thousand_impacts_with_friction_gain_no_energy():
 def test_events_say_how_much_restitution_was_given_back(monkeypatch):
     """An impact of which a third was given back is a row of the table that says so."""
     scene = mbd.load_scene("bouncing_ball")
-    whole = VelocityLevel.impact
+    whole = ImpactMap.impact
     monkeypatch.setattr(
-        VelocityLevel, "impact", lambda *args, **more: whole(*args, **more)._replace(share=1 / 3)
+        ImpactMap, "impact", lambda *args, **more: whole(*args, **more)._replace(share=1 / 3)
     )
     events = scene.simulate(0.6)["events"]
     assert set(events["contacts.restitution_share"]) == {1 / 3}

@@ -9,7 +9,7 @@ import pytest
 from velocity_level import consistent, inertia, keeps, robot_of, system_of
 
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
+from mbd_ros.core.nonsmooth.impact_map import ImpactMap
 from mbd_ros.core.rows.constraint import Constraint, Row, bilateral, unilateral
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
@@ -79,7 +79,7 @@ def test_impacts_agree_with_the_dense_system_of_all_unknowns(kind):
         compressed, p_c = pushed(M, hold, J, v, np.zeros(len(J)))
         expected, p_e = pushed(M, hold, J, compressed, e * p_c)
         slots = np.arange(len(system.layout.rows))
-        found = VelocityLevel(system).impact(State(0.0, q, v), slots.tolist())
+        found = ImpactMap(system).impact(State(0.0, q, v), slots.tolist())
         assert found.v == pytest.approx(expected, rel=1e-9, abs=1e-9)
         if not len(hold):
             assert found.p == pytest.approx(p_c + p_e, rel=1e-8, abs=1e-8)
@@ -93,7 +93,7 @@ def test_random_impacts_balance_and_gain_no_energy(kind):
     for trial in range(25):
         walls = walls_of(robot, rng, min(5, len(robot.joints)), repeats=trial % 2 == 1)
         system = system_of(robot, [*parts, *walls], coupled)
-        level, hold_at, data = VelocityLevel(system), keeps(system), pin.Data(robot.model)
+        level, hold_at, data = ImpactMap(system), keeps(system), pin.Data(robot.model)
         slots = [block.slots.start for block in system.layout.yielding]
         wall_J = np.concatenate([wall.J for wall in walls])
         for _ in range(100):
@@ -119,7 +119,7 @@ def test_momentum_of_a_free_flying_arm_is_kept():
     robot, _, _ = robot_of("free")
     model, data = robot.model, pin.Data(robot.model)
     walls = walls_of(robot, rng, 2)
-    level = VelocityLevel(system_of(robot, walls))
+    level = ImpactMap(system_of(robot, walls))
     for _ in range(200):
         q = pin.integrate(model, robot.neutral(), rng.uniform(-2.0, 2.0, model.nv))
         v = rng.normal(size=model.nv)
@@ -136,7 +136,7 @@ def test_two_stops_hit_at_once_are_one_impact():
     q, v = np.array([0.4, 0.0]), np.array([-1.0, -2.0])
     p_c = -inertia(robot, q) @ v
     assert (p_c > 0.0).all()
-    after, p, _ = VelocityLevel(system_of(robot, walls)).impact(State(0.0, q, v), [0, 1])
+    after, p, _ = ImpactMap(system_of(robot, walls)).impact(State(0.0, q, v), [0, 1])
     assert p == pytest.approx(1.8 * p_c, rel=1e-13)
     assert after == pytest.approx(-0.8 * v, rel=1e-12)
 
@@ -145,9 +145,9 @@ def test_stops_that_depend_on_one_another_share():
     """The same stop three times over does what one does, a third each."""
     robot = read_robot(mechanisms.double_pendulum())
     q, v = np.array([0.4, 1.0]), np.array([-1.0, 0.5])
-    one = VelocityLevel(system_of(robot, [Wall([1.0, 0.0], 0.6)])).impact(State(0.0, q, v), [0])
+    one = ImpactMap(system_of(robot, [Wall([1.0, 0.0], 0.6)])).impact(State(0.0, q, v), [0])
     walls = [Wall([1.0, 0.0], 0.6) for _ in range(3)]
-    three = VelocityLevel(system_of(robot, walls)).impact(State(0.0, q, v), [0, 1, 2])
+    three = ImpactMap(system_of(robot, walls)).impact(State(0.0, q, v), [0, 1, 2])
     assert three.v == pytest.approx(one.v, rel=1e-12)
     assert three.p == pytest.approx(np.full(3, one.p[0] / 3.0), rel=1e-10)
 
@@ -157,7 +157,7 @@ def test_of_two_stops_of_one_joint_the_faster_one_pushes():
     robot = read_robot(mechanisms.double_pendulum())
     walls = [Wall([1.0, 0.0], rate=-0.5), Wall([1.0, 0.0], rate=-2.0)]
     x = State(0.0, np.array([0.4, 1.0]), np.array([-1.0, 0.5]))
-    after, p, _ = VelocityLevel(system_of(robot, walls)).impact(x, [0, 1])
+    after, p, _ = ImpactMap(system_of(robot, walls)).impact(x, [0, 1])
     assert after[0] == pytest.approx(2.0, rel=1e-9)
     assert p[0] == pytest.approx(0.0, abs=1e-9) and p[1] > 1.0
 
@@ -166,7 +166,7 @@ def test_bounded_forces_exert_no_impulse():
     """Dry friction of the same joint is not seen, nor rows that do not touch."""
     robot = read_robot(mechanisms.double_pendulum())
     rub = DryFriction(robot, joint="joint_1", limit=1e6)
-    level = VelocityLevel(system_of(robot, [rub, Wall([1.0, 0.0], 1.0), Wall([0.0, -1.0])]))
+    level = ImpactMap(system_of(robot, [rub, Wall([1.0, 0.0], 1.0), Wall([0.0, -1.0])]))
     x = State(0.0, np.array([0.4, 1.0]), np.array([-1.0, 0.5]))
     after, p, _ = level.impact(x, [0, 1])
     assert after[0] == pytest.approx(1.0, rel=1e-12)
@@ -176,7 +176,7 @@ def test_bounded_forces_exert_no_impulse():
 def test_a_stop_that_moves_carries_the_joint_along():
     """Restitution is that of the velocity against the stop: v - w turns into -e (v - w)."""
     robot = read_robot(mechanisms.chain(1))
-    level = VelocityLevel(system_of(robot, [Wall([1.0], 0.5, rate=-3.0)]))
+    level = ImpactMap(system_of(robot, [Wall([1.0], 0.5, rate=-3.0)]))
     after, *_ = level.impact(State(0.0, np.zeros(1), np.array([1.0])), [0])
     assert after == pytest.approx([3.0 + 0.5 * 2.0], rel=1e-13)
 
@@ -186,6 +186,6 @@ def test_a_stop_of_a_joint_that_rows_hold_is_refused_by_name():
     robot = read_robot(mechanisms.chain(2))
     drive = Wall([1.0, 0.0], rate=1.0)
     drive.law = bilateral()
-    level = VelocityLevel(system_of(robot, [drive, Wall([1.0, 0.0])]))
+    level = ImpactMap(system_of(robot, [drive, Wall([1.0, 0.0])]))
     with pytest.raises(SolveError, match="row wall.wall#2"):
         level.impact(State(0.0, np.zeros(2), np.array([-1.0, 0.3])), [1])

@@ -8,7 +8,7 @@ from places import ROOT
 from scipy.integrate import solve_ivp
 
 from mbd_ros.api import scene_from
-from mbd_ros.core.nonsmooth.impact_map import VelocityLevel
+from mbd_ros.core.nonsmooth.impact_map import ImpactMap
 from mbd_ros.core.state import State
 
 ROBOTS = ROOT / "config/robots"
@@ -93,7 +93,7 @@ def test_a_rope_that_becomes_taut_takes_the_radial_velocity(restitution):
     scene = scene_from({"constraints": [row]}, urdf=ROBOTS / "benchmark/point_in_plane.urdf")
     n, v = np.array([0.6, -0.8]), np.array([0.3, -2.0])
     x = State(0.0, n, v)
-    found = VelocityLevel(scene.system()).impact(x, [0])
+    found = ImpactMap(scene.system()).impact(x, [0])
     mass = pin.computeTotalMass(scene.robot.model)
     assert found.v == pytest.approx(v - (1.0 + restitution) * (n @ v) * n, abs=1e-12)
     assert found.p == pytest.approx([(1.0 + restitution) * mass * (n @ v)], abs=1e-12)
