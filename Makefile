@@ -22,7 +22,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv test browser calculix demo lint format report docs links picture soak fuzz fuzz-nodes bench against imports colcon clean other_python
+.PHONY: venv check test browser calculix demo lint format report docs links picture soak fuzz fuzz-nodes bench against imports colcon clean other_python
 
 venv: .venv/installed
 
@@ -35,6 +35,14 @@ venv: .venv/installed
 .venv/installed: .venv/pinned setup.py setup.cfg pyproject.toml
 	$(BIN)/python -m pip install --quiet --no-deps --no-build-isolation -e .
 	@touch $@
+
+CHECKS := test/house/test_house.py test/house/test_architecture.py test/parts/test_contracts.py \
+	test/parts/test_part_contracts.py test/scene/test_kinds_of_scenes.py
+
+# What most mistakes break, in two minutes: contracts, the house, one scene of each kind, one node.
+check: venv
+	$(BIN)/python -m pytest -n 2 --dist worksteal $(CHECKS)
+	$(BIN)/python -m pytest test/nodes/test_inverse_dynamics_streams.py -m "not soak and not alone"
 
 test: venv .venv/report .venv/docs browser calculix
 	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=test/nodes --ignore=test/browser
