@@ -5,15 +5,10 @@ import mbd_ros
 CONTRACTS = {
     "Parts": (
         "mbd_ros.core.contracts",
-        "mbd_ros.core.contracts",
         "mbd_ros.core.rows.constraint",
     ),
-    "Laws of multipliers": ("mbd_ros.core.rows.constraint",),
     "Values": ("mbd_ros.core.state",),
-    "What parts ask and show": (
-        "mbd_ros.core.kinematics.kinematics",
-        "mbd_ros.core.contracts",
-    ),
+    "What parts ask": ("mbd_ros.core.kinematics.kinematics",),
     "Control laws": ("mbd_ros.methods.control.contract",),
     "Ranges and units of arguments": ("mbd_ros.core.ranges",),
     "Errors": ("mbd_ros.errors",),

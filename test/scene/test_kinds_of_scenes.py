@@ -22,7 +22,7 @@ ROUNDING = 1.0e-11  # N·m or N, beside loads of 1 to 100
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_forces_of_a_scene_explain_its_motion(kind):
-    """A mechanism that is moved by its own forces alone needs no efforts and leaves no residual."""
+    """A mechanism that only its own forces move needs no efforts and leaves no residual."""
     name, seconds = KINDS[kind]
     scene = mbd.load_scene(name)
     motion = scene.simulate(seconds)

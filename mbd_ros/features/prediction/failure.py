@@ -7,8 +7,11 @@ import numpy as np
 
 from mbd_ros.features.prediction.solving import SAVED, STOPPED, Found, accepted_passing
 from mbd_ros.features.prediction.task import PredictTask
+from mbd_ros.optimal_control.defects import CLOSING
+from mbd_ros.optimal_control.motion_phase import END, START
 
 _SHOWN = 5
+_CAUSES = (CLOSING, START, END)  # blocks of rows that a task or a mechanism asks for
 _VIOLATED = 1.0e-6  # in usual sizes
 _SPREAD = 1.0e8  # of usual sizes that look odd
 _ACCEPTED = "more refinements or intervals in mesh, or a larger tolerance"
@@ -60,9 +63,13 @@ def _not_fine(found: Found, task: PredictTask) -> Iterator[str]:
 
 
 def violated(found: Found) -> Iterator[str]:
-    """Rows that do not hold, the worst of each kind: what, by how much, when."""
+    """Rows that do not hold, the worst of each kind: what, by how much, when.
+
+    Closures of loops and conditions at ends come first: equations of motion that do not hold
+    between them are mostly a consequence.
+    """
     program, solved, number = found.solution.program, found.solution.solved, -1
-    worst = dict[str, tuple[float, str]]()
+    worst = dict[str, tuple[bool, float, str]]()
     for block, rows in zip(program.blocks, program.slices, strict=True):
         number += block.name == "motion"
         if not block.form.rows:
@@ -75,8 +82,9 @@ def violated(found: Found) -> Iterator[str]:
             if relative[i, j] > _VIOLATED:
                 text = _row(found, number, block, i, j)
                 line = f"  violated: {text}, by {off[i, j]:.3g} ({relative[i, j]:.1e} of its size)"
-                worst[text] = max(worst.get(text, (0.0, "")), (float(relative[i, j]), line))
-    for _, line in sorted(worst.values(), reverse=True)[:_SHOWN]:
+                row = (block.name in _CAUSES, float(relative[i, j]), line)
+                worst[text] = max(worst.get(text, row), row)
+    for *_, line in sorted(worst.values(), reverse=True)[:_SHOWN]:
         yield line
 
 

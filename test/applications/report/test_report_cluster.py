@@ -5,6 +5,7 @@ import os
 import signal
 import threading
 import time
+from functools import cache
 
 import pytest
 from report_runs import ran, use_fake
@@ -65,7 +66,8 @@ def test_an_item_that_takes_every_worker_with_it_is_wrong(tmp_path, monkeypatch,
 
 
 def test_a_worker_with_other_sources_is_refused(tmp_path, monkeypatch, capsys, cluster):
-    monkeypatch.setattr("mbd_ros.applications.report.compose.program", lambda _: "0" * 64)
+    other = cache(lambda _: "0" * 64)
+    monkeypatch.setattr("mbd_ros.applications.report.compose.program", other)
     words = ["report", "--quick", "--scheduler", cluster.scheduler_address]
     assert main([*words, "-o", str(tmp_path / "out")]) == 1
     assert "this worker has other sources" in capsys.readouterr().err

@@ -5,9 +5,10 @@ import pytest
 from rclpy.serialization import deserialize_message
 from simulator_plant import plant
 from std_msgs.msg import Float64MultiArray
+from strap import Strap
 
 import mbd_ros as mbd
-from mbd_ros.core.contracts import Kind, Load, Output, exerted_on
+from mbd_ros.core.contracts import Load, Output, exerted_on
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.table import read_result
@@ -16,23 +17,6 @@ from mbd_ros.scene.schema.code_permission import permitting
 from mbd_ros.scene.schema.renamed import renamed
 
 BAR = {"type": "distance", "frame_a": "world", "frame_b": "shank", "distance": 0.7}
-
-
-class Strap(Load):
-    """A spring at a joint that shows its stretch and a direction."""
-
-    outputs = (Output("stretch", "rad"), Output("way", "m", Kind.VECTOR, "world"))
-
-    def __init__(self, robot, *, joint: str):
-        self.joint, self.nv = robot.joint(joint), robot.model.nv
-
-    def force(self, k, x, u):
-        tau = np.zeros(self.nv)
-        tau[self.joint.v] = -2.0 * x.q[self.joint.q]
-        return tau
-
-    def show(self, k, x, u, now):
-        return x.q[self.joint.q], np.array([1.0, 2.0, now.a[self.joint.v]])
 
 
 def scene(urdf="four_bar_leg", kind=Strap, **sections):
@@ -128,9 +112,7 @@ def test_a_live_simulation_shows_numbers_and_arrows():
 
 
 def test_the_simulator_publishes_what_parts_show(tmp_path):
-    text = (
-        "forces: [{type: 'test_outputs:Strap', joint: ankle}]\ninitial: {position: {ankle: 0.3}}"
-    )
+    text = "forces: [{type: 'strap:Strap', joint: ankle}]\ninitial: {position: {ankle: 0.3}}"
     robot = "robot: {urdf: 'package://mbd_ros/config/robots/prosthetic_leg.urdf'}"
     (tmp_path / "scene.yaml").write_text(f"{robot}\n{text}\n", encoding="utf-8")
     with permitting(True):
