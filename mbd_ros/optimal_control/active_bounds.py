@@ -52,11 +52,6 @@ def status_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
     """At every point: inputs, q, v, z, then quantities of `bounds` that are no unknowns.
 
     A bound is active where its multiplier is larger than what is left to it, both in usual sizes.
-
-    Args:
-        phase: The phase.
-        number: Its number.
-        solution: The solution.
     """
     places = np.hstack([solution.unknowns[number].points[letter] for letter in "uqvz"])
     return np.hstack((_of_unknowns(phase, number, solution)[places], _of_rows(solution, number)))
@@ -104,13 +99,7 @@ def _side(values: Array, pulls: Array, block: Block) -> Status:
 
 
 def begins_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
-    """At the first node of every interval: q, v and z.
-
-    Args:
-        phase: The phase.
-        number: Its number.
-        solution: The solution.
-    """
+    """At the first node of every interval: q, v and z."""
     places = solution.unknowns[number].state[:-1]
     found: Status = _of_unknowns(phase, number, solution)[places]
     return found
@@ -130,10 +119,6 @@ def costates(solution: Solution, number: int) -> dict[str, Array]:
 
     A node is the beginning of the interval that follows, whose equations depend on it; the last
     one is the end of the last interval. Those of poses of free bodies are zero.
-
-    Args:
-        solution: The solution.
-        number: Of the phase.
     """
     unknowns, forces = solution.unknowns[number], solution.solved.row_forces
     found, last = np.zeros(len(solution.solved.x)), unknowns.state[-1]

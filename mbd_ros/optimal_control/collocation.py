@@ -29,8 +29,6 @@ class Collocation:
         degree: Number of points.
 
     Attributes:
-        scheme: As given.
-        degree: As given.
         c: The points, shape (degree,).
         A: A_k(c_j), shape (degree, degree).
         b: A_k(1), shape (degree,).

@@ -66,7 +66,6 @@ class PhaseForms:
     """Forms of a phase, made once for all meshes.
 
     Args:
-        phase: Its equations.
         parameters: Numbers of the parameters among the unknowns.
     """
 
@@ -94,7 +93,6 @@ class PhaseForms:
         """A form of expressions of `PhaseEquations.symbols` at points.
 
         Args:
-            rows: Its rows.
             cost: Its cost; None for nothing.
             data: Symbols of what is known at a point, besides its share of the duration.
             more: Symbols of unknowns besides those of `point_places`.

@@ -30,7 +30,6 @@ class PhaseCosts:
 
     Args:
         problem: What is asked of the phase.
-        quantities: By name.
         forms: Equations on meshes.
         references: What is tracked.
 

@@ -58,7 +58,6 @@ def solve(
     """Solve a program.
 
     Args:
-        program: The program.
         guess: All unknowns, fixed ones too, shape (n,).
         lower: Their bounds, shape (n,).
         upper: The same.

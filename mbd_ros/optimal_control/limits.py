@@ -45,12 +45,7 @@ Limits = list[tuple[Quantity, Range]]
 class PathBounds:
     """Quantities, their bounds, and what they are at points and between them.
 
-    Args:
-        bounds: Quantities and their ranges.
-        forms: Of the phase.
-
     Attributes:
-        bounds: As given.
         lower: Shape (k,).
         upper: Shape (k,).
     """
@@ -79,7 +74,6 @@ class PathBounds:
         Args:
             times: [s], shape (m,).
             letters: Letter -> values, shape (m, ..).
-            p: Parameters.
         """
         if not self.bounds:
             return np.zeros((len(times), 0))

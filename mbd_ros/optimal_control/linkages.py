@@ -157,8 +157,6 @@ class EqualEnds:
     """Quantities that end as others began.
 
     Args:
-        last: The last phase.
-        first: The first one.
         pairs: At the end, and at the beginning.
         signs: What values at the beginning count as, one a pair.
 

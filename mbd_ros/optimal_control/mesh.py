@@ -99,7 +99,6 @@ def refined(mesh: Mesh, errors: Array, tolerance: float) -> Mesh:
     """Intervals whose error is too large are split, by the order of their method.
 
     Args:
-        mesh: The mesh.
         errors: Relative error of each interval, shape (n,).
         tolerance: What is accepted.
     """
@@ -118,7 +117,6 @@ def changes(mesh: Mesh, status: Status, inputs: Array) -> list[float]:
     """Where bounds of inputs change, as shares of the duration, in order.
 
     Args:
-        mesh: The intervals.
         status: At every point, inputs first, shape (m, k).
         inputs: Values at every point, shape (m, nu).
 
@@ -177,7 +175,6 @@ def bracketed(mesh: Mesh, status: Status, begins: Status, wanted: NDArray[np.boo
     between two points; these intervals shrink instead.
 
     Args:
-        mesh: The intervals.
         status: Of states at every point, shape (m, k).
         begins: Of states at the first node of every interval, shape (n, j), j <= k.
         wanted: Which intervals are to be split, and for which bounds, shape (n, k).

@@ -256,10 +256,8 @@ class EndConditions:
     Args:
         name: `START` or `END`.
         ranges: Quantities of states, and their ranges.
-        forms: Of the phase.
 
     Attributes:
-        ranges: As given.
         derived: Those of quantities that are no unknowns.
     """
 

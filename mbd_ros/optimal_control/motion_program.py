@@ -59,7 +59,6 @@ class MotionProgram:
         """Solve on the meshes of guesses.
 
         Args:
-            guesses: Of each phase.
             parameters: Values to begin with.
             accuracy: Of the conditions of optimality, in usual sizes.
             cost_size: Usual size of the cost.

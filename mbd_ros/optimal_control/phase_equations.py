@@ -44,7 +44,6 @@ class PhaseEquations:
     """Expressions of a system in one mode.
 
     Args:
-        equations: Of the system.
         dependence: Of its rows; None where each tells something.
 
     Attributes:
@@ -151,7 +150,6 @@ class PhaseEquations:
         Args:
             values: Letter -> values, shape (n, ..); of what is not there, zeros.
             times: [s], shape (n,).
-            p: Parameters.
         """
         n, absent = len(times), set(LETTERS).difference(values)
         zeros = {key: np.zeros((n, int(self.symbols[key].numel()))) for key in absent}
@@ -174,7 +172,6 @@ class PhaseEquations:
         Args:
             values: Letters q, v, z, a, w, u, l -> values, shape (n, ..); u where it is given.
             times: [s], shape (n,).
-            p: Parameters.
             given: Places of inputs that are given.
         """
         n, sizes = len(times), self.sizes
@@ -236,7 +233,6 @@ class PhaseEquations:
             w: Rates at these states, shape (n, nz).
             times: [s], shape (n,).
             spans: Over which rates act [s], shape (n,).
-            p: Parameters.
         """
         if not (stiff := self._stiff).any():
             return w
@@ -268,9 +264,7 @@ def independent(equations: PhaseEquations, x: State, p: Array) -> PhaseEquations
     """The equations without rows that depend on others.
 
     Args:
-        equations: Of a phase.
         x: A state of what is integrated, near which the rows can hold.
-        p: Parameters.
     """
     m, nv = equations.sizes.m, equations.sizes.nv
     if m < 2:
@@ -333,9 +327,6 @@ def usual_sizes(equations: PhaseEquations, motion: PhaseMotion, p: Array, room: 
     """Usual sizes of a motion.
 
     Args:
-        equations: Of the phase.
-        motion: A guess.
-        p: Parameters.
         room: Widths between the bounds of inputs, inf without, shape (nu,).
     """
     T = max(abs(motion.duration), 1.0e-6)

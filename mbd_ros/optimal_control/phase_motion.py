@@ -105,13 +105,9 @@ class Unknowns:
     """Numbers of the unknowns of a phase; n intervals, m points.
 
     Args:
-        sizes: Of the system.
-        mesh: The intervals.
         first: Number of the first unknown.
 
     Attributes:
-        sizes: As given.
-        mesh: As given.
         nodes: q, v, z at ends of intervals, letter -> shape (n + 1, ..).
         points: q, v, z, a, w (rates of z), u, l (multipliers) at points, letter -> (m, ..).
         steps: Steps in the tangent of free bodies, from the beginning of an interval to its points
@@ -179,7 +175,6 @@ def errors_of(motion: PhaseMotion, rates: Rates) -> Array:
     value of each.
 
     Args:
-        motion: The motion.
         rates: Accelerations and rates of internal states that its states and inputs make.
     """
     mesh, found = motion.mesh, np.zeros(motion.mesh.intervals)
@@ -236,7 +231,6 @@ def steps_of(mesh: Mesh, nodes: Array, points: Array, bases: tuple[tuple[int, in
     """Steps of free bodies from the beginning of an interval to its points, and to its end.
 
     Args:
-        mesh: The intervals.
         nodes: Configurations at nodes.
         points: At points.
         bases: Where the poses stand in them.

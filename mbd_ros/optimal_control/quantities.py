@@ -41,8 +41,6 @@ class Quantities:
     as `<link>.load.force_x`, and parameters.
 
     Args:
-        phase: Of which phase.
-        sensors: Of the scene.
         given: Places of inputs that are no unknowns but known over time, such as measured loads.
     """
 
@@ -178,12 +176,7 @@ class Quantities:
 
 
 class PartQuantities:
-    """Numbers of sensors and parts by name, as tables call them; made when they are asked for.
-
-    Args:
-        equations: Of the phase.
-        sensors: Of the scene.
-    """
+    """Numbers of sensors and parts by name, as tables call them; made when they are asked for."""
 
     def __init__(self, equations: Equations, sensors: Sequence[Sensor] = ()) -> None:
         self._e, self._shown = equations, dict[str, list[Any]]()

@@ -24,16 +24,12 @@ class SparseProgram:
     a derivative is what the forms say.
 
     Args:
-        blocks: The blocks.
         sizes: Usual sizes of the unknowns, shape (n,).
         known: Values of unknowns that are fixed, NaN for the others, shape (n,).
         cost_size: Usual size of the cost.
 
     Attributes:
-        blocks: As given.
-        sizes: As given.
         open: Numbers of the unknowns that are not fixed: those of the solver.
-        cost_size: As given.
         row_sizes: Usual sizes of the rows, in the order of the blocks, place by place.
         slices: Rows of each block.
     """
@@ -186,7 +182,6 @@ class Block:
 
     Args:
         name: For messages.
-        form: The form.
         places: Numbers of its unknowns in the program, shape (size, m).
         data: What is known at each place, shape (.., m); None for nothing.
         lower: Of rows, shape (rows,) or (rows, m).

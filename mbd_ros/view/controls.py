@@ -37,7 +37,6 @@ class Controls:
 
     Args:
         server: The `viser` server.
-        scene: The scene.
         rerun: What may be changed of it.
 
     Attributes:

@@ -35,8 +35,6 @@ class MotionCurves:
     """Curves of a motion by joint or free body, and by quantity.
 
     Args:
-        scene: The scene.
-        motion: Its motion.
         rows: Names of the multipliers.
     """
 
@@ -185,7 +183,6 @@ def cursor(curves: Curves, now: float) -> Array:
 
     Args:
         curves: What it is drawn beside.
-        now: The time [s].
     """
     low = float(curves.values.min(initial=0.0))
     high = float(curves.values.max(initial=0.0))
@@ -198,7 +195,6 @@ class LiveCurves:
     """Samples of the last seconds, in a ring that is made once.
 
     Args:
-        scene: The scene.
         rows: Names of the multipliers.
         loads: Names of the measured loads.
         count: Samples that are kept.

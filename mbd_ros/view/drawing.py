@@ -40,7 +40,6 @@ class Drawing:
 
     Args:
         server: The `viser.ViserServer` to draw in.
-        scene: The scene.
 
     Attributes:
         frames: What is drawn, as arrays.

@@ -28,9 +28,6 @@ _NO_LINES = np.zeros((0, 2, 3))
 class Frames:
     """Draws a scene at states; its arrays and Pinocchio data are made here, once.
 
-    Args:
-        scene: The scene.
-
     Attributes:
         rows: Names of the columns of all multipliers.
         arrow_names: What exerts the forces, in the order of arrows.
@@ -67,7 +64,6 @@ class Frames:
         """What is drawn at a state.
 
         Args:
-            x: State of all joints.
             a: Accelerations [rad/s^2 or m/s^2], shape (nv,); 0 without it.
             multipliers: Of all rows, shape (m,); without them no arrows, cones and tensions.
             most: Tension that is red [N]; 0 for that of the tightest path of the state.
@@ -102,7 +98,6 @@ class Frames:
         """What joints pass from parents to children, as arrows of forces and of moments.
 
         Args:
-            x: State of all joints.
             a: Accelerations [rad/s^2 or m/s^2], shape (nv,).
             multipliers: Of all rows, shape (m,).
 

@@ -35,7 +35,6 @@ class LivePage:
     """Robots in browsers; one thread draws, callbacks of the page only leave wishes.
 
     Args:
-        server: The server.
         robots: At least one; those of one scene stand side by side.
         title: Of the page, where robots have none.
         offsets: Where the world of each robot is on the page [m], shape (robots, 3), if not so.

@@ -37,11 +37,9 @@ class LiveRobot:
 
     Args:
         title: What people call it; empty for the only one.
-        scene: The scene.
         kept: Samples that curves show.
 
     Attributes:
-        title: As given.
         scene: The scene.
         frames: What is drawn of it.
         curves: Its last seconds.
@@ -282,10 +280,6 @@ class Reach:
         joint: Index in the model of the joint whose solids are led.
         server: The `viser.ViserServer`.
         start: Configuration to begin with, shape (nq,).
-
-    Attributes:
-        robot: As given.
-        joint: As given.
 
     Raises:
         ModelError: Something flies, or the joint carries nothing that is drawn.

@@ -16,7 +16,6 @@ def mesh_surface(file: Path, scale: Sequence[float], where: str) -> Surface:
     """The triangles of an STL, OBJ or DAE file.
 
     Args:
-        file: The file.
         scale: Factors along x, y and z.
         where: File and key, for the messages.
 

@@ -42,7 +42,6 @@ def viewed_motion(
     """Read a motion for a scene; dependent joints follow their couplings.
 
     Args:
-        scene: The scene.
         source: Result, file or bag.
         rows: Names of the columns of all multipliers.
         topic: JointState topic of a bag.

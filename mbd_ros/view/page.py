@@ -29,7 +29,6 @@ class Page:
     """A scene in browsers; one thread draws, callbacks of the page only leave wishes.
 
     Args:
-        scene: The scene.
         host: Address to listen on.
         port: Port; the next one that is free where it is taken.
         named: Numbers of the scene that the page offers to change, `<part>.<argument>`.

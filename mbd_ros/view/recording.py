@@ -43,7 +43,6 @@ def animated_page(
     """A page with play, slider and speed that opens from a file without a network.
 
     Args:
-        scene: The scene.
         motion: What it shows.
         title: Of the page.
         ghost: A second motion, drawn through.

@@ -54,7 +54,6 @@ class PageServer:
     Args:
         host: Address to listen on.
         port: Port; the next one that is free where it is taken.
-        label: Title of the panel.
         token: What a browser must know. Empty: none is asked for on this machine, and one is made
             up for another `host`.
         origins: As for `Guard`.

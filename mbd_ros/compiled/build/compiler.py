@@ -51,7 +51,6 @@ class Compiler(NamedTuple):
         """A shared library of C sources, which are compiled side by side on the cores there are.
 
         Args:
-            texts: The sources.
             folder: Where it may write.
 
         Raises:
@@ -113,7 +112,6 @@ def run_all(name: str, commands: Sequence[Sequence[str]], folder: Path) -> None:
 
     Args:
         name: What they are called in errors.
-        commands: The commands.
         folder: For their temporary files.
 
     Raises:

@@ -239,12 +239,9 @@ class Library:
 
     Args:
         source: What it was compiled from.
-        content: The library.
         compiler: What compiled it.
 
     Attributes:
-        source: As given.
-        compiler: As given.
         seconds: How long the compiler took, now or when the library was kept [s].
         c: Its other functions, by name; a call lets other threads run.
 

@@ -28,7 +28,6 @@ def verify(library: Library, traced: Traced, system: System, p: Array = NONE) ->
     Args:
         library: Has the function `accelerate`.
         traced: What it was compiled from.
-        system: The plain tier.
         p: Values of the parameters that the system was built with, shape (np,).
 
     Raises:

@@ -79,9 +79,6 @@ _NAMED = {"inf": "INFINITY", "-inf": "-INFINITY", "nan": "NAN"}
 def c_function(code: Instructions) -> CFunction:
     """A function as C.
 
-    Args:
-        code: Its instructions.
-
     Raises:
         CodeError: C has no form of an operation.
     """
@@ -109,11 +106,7 @@ def c_function(code: Instructions) -> CFunction:
 
 
 def turns(code: Instructions) -> Turns:
-    """The angles that are made of inputs by arithmetic alone.
-
-    Args:
-        code: Instructions of a function.
-    """
+    """The angles that are made of inputs by arithmetic alone."""
     plain = _plain(code.values)
     sines, cosines = (
         {
@@ -190,7 +183,6 @@ def cut(code: Instructions, turns: Turns) -> Chunks:
     The first chunk, perhaps empty, makes the angles; sines and cosines wait from there on.
 
     Args:
-        code: The instructions.
         turns: Its angles, and the order in which everything else is computed.
     """
     order = turns.before + turns.after
@@ -297,7 +289,6 @@ def expression(value: Value, operands: list[str], function: str) -> str:
     """The C expression of a computed value.
 
     Args:
-        value: The value.
         operands: What stands for those that it is computed from.
         function: Whose value it is, for the error.
 

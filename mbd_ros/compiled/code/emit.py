@@ -94,7 +94,6 @@ def emitted(traced: Traced, names: Sequence[str]) -> Source:
     """C source of functions, with the search of paths that wrap where there are some.
 
     Args:
-        traced: The system.
         names: Of its functions.
 
     Raises:

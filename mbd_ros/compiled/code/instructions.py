@@ -120,9 +120,6 @@ def with_reciprocals(code: Instructions) -> Instructions:
     """The same values, with one division for each divisor that several values share.
 
     A quotient then differs by a unit in the last place.
-
-    Args:
-        code: Instructions of a function.
     """
     divisors = Counter(_divisor(value) for value in code.values)
     shared = {number for number, n in divisors.items() if n > 1 and number is not None}

@@ -36,14 +36,12 @@ class CompiledMethod(Integrator):
     """The steps of another method, and the projection after them, in native code.
 
     Args:
-        method: The method.
         stabilization: What keeps the rows.
         say: Is told what takes time.
         kept: What was built for a system of the same parts, and takes what is built here; another
             dict for every system.
 
     Attributes:
-        method: As given.
         traced: The symbolic form of the system that was prepared last.
         library: What it was compiled to.
     """

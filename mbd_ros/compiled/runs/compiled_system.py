@@ -19,7 +19,6 @@ class CompiledSystem:
     dependent for a factor without pivoting, and those with a mode.
 
     Args:
-        system: The system.
         traced: Its symbolic form.
         library: What `ImplicitMethod.asks` of it was compiled to.
         p: Values of the parameters, shape (np,).
@@ -134,7 +133,6 @@ class CompiledBalance:
     """As `mbd_ros.core.dynamics.linearization.Balance`, with slopes to rounding.
 
     Args:
-        system: The system.
         force: The native function `balance`.
         slopes: The native function `balance_slopes`.
         size: nv, or nv + nz where internal states stand beside velocities.

@@ -205,7 +205,6 @@ class ModeStepper(NativeStepper):
     """Steps of which nothing is corrected; a mode that is not compiled has plain ones.
 
     Args:
-        run: The integration.
         plain: The same method in Python.
         correct: What stabilization makes of a state after a step.
         idle: Inputs where none are given.
@@ -213,7 +212,6 @@ class ModeStepper(NativeStepper):
         gaps: Rows of the mode that are gaps.
 
     Attributes:
-        run: As given.
         mode: What it follows.
         is_compiled: Whether that is compiled.
         integrated_plainly: How many steps plain Python has integrated.

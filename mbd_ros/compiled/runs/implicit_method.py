@@ -40,13 +40,11 @@ class ImplicitMethod(Integrator):
     """The steps of a method that solves by Newton's method, over a compiled system.
 
     Args:
-        method: The method.
         stabilization: What keeps the rows.
         say: Is told what takes time.
         kept: As for `CompiledMethod`.
 
     Attributes:
-        method: As given.
         traced: The symbolic form of the system that was prepared last.
         library: What it was compiled to.
     """
@@ -138,7 +136,6 @@ def verify_slopes(system: CompiledSystem, names: Sequence[str]) -> None:
     States at which the plain tier has no solution, or no slope, say nothing.
 
     Args:
-        system: The compiled system.
         names: The functions that it was compiled to.
 
     Raises:
@@ -201,7 +198,6 @@ def compiled_system(
     """A system whose `derivatives` are exact.
 
     Args:
-        system: The system.
         traced: Its symbolic form, with parameters; one without any by default.
         p: Values of the parameters, those with which the system was built, shape (np,).
         say: Is told what takes time.

@@ -33,7 +33,6 @@ def lane_runs(
 
     Args:
         system: The system, with the gains of the stabilization.
-        method: The method.
         stabilization: What keeps the rows.
         dt: Step [s].
         traced: Gives the symbolic form of the system.

@@ -39,7 +39,6 @@ class RunMemory:
             free bodies stand in the axes of the world; None where there is no other.
 
     Attributes:
-        sizes: As given.
         row: Numbers of a sample.
         left: 1 where rows are just being left and rounding does not count, one entry a mode.
     """
@@ -156,10 +155,8 @@ class NativeRun(RunMemory):
     Args:
         library: The scene with the integrators.
         sizes: What it was compiled for.
-        method: The method.
         dt: Step of a fixed-step method, and first guess of others [s].
         bounds: Least and largest internal states, and what counts as an error of one, (3, nz).
-        p: Values of the parameters.
         least_health: Of rows: below it the run stops.
         smooth: What inputs that change within steps are made of, with their places in u.
         form: As for `RunMemory`.
@@ -244,7 +241,6 @@ class NativeRun(RunMemory):
 
         Args:
             y: Where it starts.
-            first: The first row.
             times: When samples are due.
             held: Inputs of the whole run.
             steps: How many steps may be taken.

@@ -18,7 +18,6 @@ class NativeStepper(BlockStepper):
     """Steps and corrections in native code; a step that it cannot take is one of plain Python.
 
     Args:
-        run: The integration.
         plain: The same method in Python.
         correct: What stabilization makes of a state after a step of that.
         idle: Inputs where none are given.
@@ -93,9 +92,6 @@ class NativeStepper(BlockStepper):
         """Advance by several steps.
 
         Args:
-            x: As for `step`.
-            u: As for `step`.
-            end: As for `step`.
             most: How many steps are taken at most.
 
         Returns:

@@ -102,9 +102,7 @@ class StatePaths:
     One library serves all scenes with wraps, another one those without.
 
     Args:
-        robot: The robot.
         data: Its `Data`, which has to live as long.
-        couplings: Its dependent joints.
         paths: Such that `is_known`.
         width: Columns of `columns`, at least one a path.
 
@@ -156,7 +154,6 @@ class StatePaths:
 
         Args:
             q: Configuration that `data` has, shape (nq,).
-            v: Velocity, shape (nv,).
             slopes: What `Couplings.expand` gave, one number a coupling.
         """
         self._q[:], self._v[:], self._slopes[:] = q, v, slopes

@@ -26,7 +26,6 @@ def with_integrators(functions: Source, sizes: Sizes) -> Source:
 
     Args:
         functions: What `emit` made of `Sizes.functions`; of vectors for runs side by side.
-        sizes: Of the scene.
     """
     work = max(one.work for one in functions.signatures.values())
     numbers = {

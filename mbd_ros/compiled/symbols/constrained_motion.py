@@ -32,7 +32,6 @@ class ConstrainedMotion:
 
     Args:
         mass: The lower triangle of M, SX scalars.
-        rows: The rows.
         nv: Size of a velocity.
         slack: The s of each row, SX scalars; none where nothing is given.
         pushes: The D of rows by their numbers, where it is not J.

@@ -36,7 +36,6 @@ class Equations(SymbolicSystem):
     switch them by s.
 
     Args:
-        system: The system.
         parameters: Names of numbers that stay symbols.
         mode: Of unilateral rows; None for all modes at once, as `SwitchedRows` has them.
         made: Makes parts of symbols, by name.

@@ -35,7 +35,6 @@ def residual(
     """The r, a column of size nv + the number of rows that act.
 
     Args:
-        equations: Of the system.
         a: The y'', SX scalars.
         lam: Multipliers of the rows that act, SX scalars.
         dynamics: In axes of one's choice; by default those in which accelerations take the fewest

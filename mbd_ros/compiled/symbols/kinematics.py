@@ -35,10 +35,7 @@ class SymbolicKinematics:
     """Answers as `Kinematics` does, in arrays of numbers that may be `Scalar`.
 
     Args:
-        robot: The robot.
-        tree: Its links.
         q: Configuration of all joints, an array of objects.
-        v: Velocity, the same.
     """
 
     item = staticmethod(np.ndarray.item)
@@ -241,7 +238,6 @@ class SymbolicPairMotion:
     """Motion of b as an observer on a sees it; answers as `PairMotion` does.
 
     Args:
-        k: Kinematics of symbols.
         pair: The observer a and what is observed, b.
     """
 

@@ -67,8 +67,6 @@ def rows_of(blocks: Sequence[RowBlock], k: Any, x: State) -> Rows:
     """The rows of constraints, in their order.
 
     Args:
-        blocks: The constraints.
-        k: Kinematics of symbols.
         x: State of all joints, in arrays of numbers.
 
     Raises:

@@ -25,7 +25,6 @@ class SymbolicSystem:
     """A system whose time, state, inputs and parameters are symbols.
 
     Args:
-        system: The system.
         parameters: Names of numbers that stay symbols.
         mode: Of unilateral rows; None for all modes at once, which stand behind the parameters.
         made: Makes parts of symbols, by name.

@@ -59,7 +59,6 @@ def trace(
     """The functions of a system.
 
     Args:
-        system: The system.
         parameters: Names of numbers that stay arguments.
         mode: Of rows that give way at events, as `State.mode`; needed where there are any. None
             for all modes at once: p ends with the mode then.
@@ -105,11 +104,7 @@ class Traced:
     Functions that depend on what such paths do have one more argument: `searched.symbols`.
     integrate(q, dq) -> q (+) dq, rate(dq, v) -> the rate of dq: for charts that are not flat.
 
-    Args:
-        equations: The expressions.
-
     Attributes:
-        equations: As given.
         tier: Name of the way of solving.
         parameters: Names of p.
         nq: Size of the configuration of what is integrated.
@@ -186,11 +181,7 @@ def _dense(result: Any) -> Any:
 
 
 class Answers:
-    """What the functions of a traced system give, one method a function, as `Traced` names them.
-
-    Args:
-        equations: Of the system.
-    """
+    """What the functions of a traced system give, one method a function."""
 
     def __init__(self, equations: Equations) -> None:
         self._equations = equations

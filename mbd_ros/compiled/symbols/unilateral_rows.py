@@ -40,7 +40,6 @@ class UnilateralRows:
     """Unilateral rows in one mode.
 
     Args:
-        system: The system.
         mode: Begins with one entry a row: 0 on, 1 at the lower bound, -1 at the upper one.
 
     Attributes:
@@ -211,7 +210,6 @@ class SwitchedRows(UnilateralRows):
     """Unilateral rows in every mode.
 
     Args:
-        system: The system.
         ways: The mode, one SX scalar a row.
 
     Raises:

@@ -44,9 +44,7 @@ class TreeDynamics:
     """Dynamics of all joints.
 
     Args:
-        tree: The links.
         q: Configuration, one SX scalar an entry.
-        v: Velocity, the same.
         place: Gives where the links are, in axes of its choice.
     """
 
@@ -93,7 +91,6 @@ def choices(
     """The same dynamics in axes of the links and in those of the world, where that may pay.
 
     Args:
-        tree: The links.
         q: Configuration, SX scalars.
         v: Velocity, SX scalars.
         has_rows: Whether rows of frames stand in axes of the world.
@@ -180,7 +177,6 @@ def forward_dynamics(
     """Joint accelerations, one SX scalar a velocity.
 
     Args:
-        tree: The links.
         placed: Where they are.
         on_links: What they need without joint accelerations.
         tau: Generalized forces, one SX scalar a velocity.

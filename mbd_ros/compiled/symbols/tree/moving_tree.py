@@ -85,7 +85,6 @@ def placements(tree: Tree, q: Any) -> list[tuple[Turn, Vector]]:
     """Turn to the axes of the parent, and offset there, of every link with one coordinate.
 
     Args:
-        tree: The links.
         q: Configuration, one SX scalar an entry.
     """
     return [_placement(link, q) for link in tree.links]
@@ -133,9 +132,7 @@ class WorldFrames:
     """Frames of all links.
 
     Args:
-        tree: The links.
         q: Configuration, one SX scalar an entry.
-        v: Velocity, the same.
     """
 
     def __init__(self, tree: Tree, q: Sequence[Any], v: Sequence[Any]) -> None:

@@ -50,7 +50,6 @@ def needed(tree: Tree, placed: Sequence[Placed], v: Any, a: Any, falls: Vector) 
     """Force and torque on every link, gravity counted as an acceleration of the world.
 
     Args:
-        tree: The links.
         placed: Where they are.
         v: Velocity, one SX scalar an entry.
         a: Acceleration, the same; None for none.

@@ -51,9 +51,6 @@ class SymbolicReactions:
     def load(self, joined: Joined) -> list[Any]:
         """As `JointLoads` has it in axes of the link: muscles pull on bodies. Six numbers.
 
-        Args:
-            joined: The link.
-
         Raises:
             Untraceable: As `felt`.
         """
