@@ -24,7 +24,7 @@ from mbd_ros.files.bags.bag_writer import BagWriter, Rows
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.samples import Task
 from mbd_ros.scene.reader import load_scene
-from msg_adapters.joint_state_rows import joint_state_rows
+from msg_adapters.joint_state_cdr import joint_state_rows
 
 SCENE = Path(__file__).parents[1] / "config" / "scenes" / "arm7.yaml"
 TOPIC, KIND = "/joint_states", "sensor_msgs/msg/JointState"

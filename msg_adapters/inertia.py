@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from msg_adapters.finite import require_finite
+from msg_adapters.errors import require_finite
 from msg_adapters.time import write_time
 
 

@@ -1,4 +1,4 @@
-"""builtin_interfaces/Time <-> integer nanoseconds."""
+"""builtin_interfaces/Time and rosgraph_msgs/Clock <-> integer nanoseconds."""
 
 from typing import Any
 
@@ -49,3 +49,14 @@ def seconds_of(stamp: int) -> tuple[int, int]:
             f"an int32; accepted: -{2**31} to {2**31 - 1} s"
         )
     return divmod(stamp, NANOSECONDS)
+
+
+def read_clock(msg: Any) -> int:
+    """Time of one message [ns]."""
+    return read_time(msg.clock)
+
+
+def write_clock(msg: Any, stamp: int) -> Any:
+    """Put a time [ns] into a Clock message and return it."""
+    write_time(msg.clock, stamp)
+    return msg

@@ -16,7 +16,7 @@ from mbd_ros.files.laboratory.markers import SCREEN
 from mbd_ros.files.laboratory.storage import REMARKS, is_storage, joint_columns, other_labels
 from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table, motion_stamps, read_result
-from msg_adapters.odometry import OFF_UNIT
+from msg_adapters.pose import OFF_UNIT
 
 # ---- recordings -------------------------------------------------------------------------------
 # Motions and wrenches from tables and bags: one meaning for both.

@@ -11,7 +11,6 @@ import pytest
 from mbd_ros.files.bags.bag_types import from_cdr, new_message
 from msg_adapters import diagnostics as diag
 from msg_adapters.errors import MessageError
-from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state import (
     JointStateReader,
     JointStateWriter,
@@ -19,9 +18,9 @@ from msg_adapters.joint_state import (
     write_joint_state,
 )
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
+from msg_adapters.joint_trajectory import JointMotionWriter
 from msg_adapters.markers import Arrow, Cone, MarkerWriter
-from msg_adapters.multi_array import read_multi_array, write_multi_array
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.multi_array import MultiArrayCdrWriter, read_multi_array, write_multi_array
 from msg_adapters.pose import read_pose, write_pose
 from msg_adapters.time import read_time, write_time
 from msg_adapters.wrench import read_wrench, write_wrench

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from mbd_ros.files.bags.bag_types import new_message
-from msg_adapters.clock import read_clock, write_clock
 from msg_adapters.commands import CommandReader
 from msg_adapters.errors import MessageError
-from msg_adapters.joint_motion import JointMotionWriter, read_joint_motion
 from msg_adapters.joint_state import write_joint_state
+from msg_adapters.joint_trajectory import JointMotionWriter, read_joint_motion
 from msg_adapters.markers import Arrow, Cone, MarkerWriter
 from msg_adapters.multi_array import write_multi_array
-from msg_adapters.time import read_time
+from msg_adapters.time import read_clock, read_time, write_clock
 
 STAMP = 1_760_000_000_123_456_789
 NAN = float("nan")
@@ -211,7 +210,7 @@ def test_cones_open_around_the_normal_force(new, normal):
             assert (cone.pose.position.x, cone.pose.position.z) == (1.0, 3.0)
 
 
-@pytest.mark.parametrize("name", ["clock", "commands", "joint_motion", "markers"])
+@pytest.mark.parametrize("name", ["commands", "joint_trajectory", "markers", "time"])
 def test_adapters_need_no_ros(name):
     source = importlib.import_module(f"msg_adapters.{name}").__file__
     with open(source, encoding="utf-8") as file:

@@ -9,8 +9,8 @@ from nodes.control_client import KINDS, POSE, STEP, controlled
 from nodes.simulation_client import ARM, DAMPED, NAME, simulated
 from rosgraph_msgs.msg import Clock
 
-from msg_adapters.clock import write_clock
 from msg_adapters.diagnostics import OK, STALE, WARN
+from msg_adapters.time import write_clock
 
 CALM = ARM + DAMPED
 RAMP, LARGEST = 0.5, 5.0

@@ -11,8 +11,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_srvs.srv import Trigger
 
-from msg_adapters.clock import write_clock
 from msg_adapters.diagnostics import ERROR, STALE, WARN
+from msg_adapters.time import write_clock
 
 AT_ONCE = {"safe_ramp": 0.0, "timeout": 10.0}
 TRUSTED = {**AT_ONCE, "allow_code": True}

@@ -19,7 +19,7 @@ from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import read_joint_state
-from msg_adapters.odometry import read_odometry
+from msg_adapters.pose import read_odometry
 from msg_adapters.time import read_time
 from msg_adapters.wrench import read_wrench
 

@@ -15,10 +15,10 @@ from std_srvs.srv import SetBool
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mbd_ros.nodes.shell.serialized import message_of
-from msg_adapters.clock import write_clock
 from msg_adapters.diagnostics import ERROR, Health
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_trajectory import MOST_POINTS
+from msg_adapters.time import write_clock
 
 # The loops of a four-bar remember most; open arms are left to `make soak`.
 FOUR_BARS = [

@@ -18,7 +18,7 @@ from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
-from msg_adapters.marker_places import write_marker_places
+from msg_adapters.markers import write_marker_places
 
 NAME = "/marker_kinematics"
 TARGET = ("-m", "mbd_ros.nodes", "marker_kinematics")

@@ -28,10 +28,10 @@ from mbd_ros.api import load_scene
 from mbd_ros.files.bags.bag_reader import messages, raw_messages
 from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
-from msg_adapters.clock import read_clock
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import read_joint_state, write_joint_state
 from msg_adapters.multi_array import write_multi_array
+from msg_adapters.time import read_clock
 
 TIMER = ROOT / "test/support/nodes/timer_node.py"
 TICK = 1e-3

@@ -33,10 +33,10 @@ from mbd_ros.files.bags.bag_writer import BagWriter, Rows
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table, stamps_of, time_columns
 from mbd_ros.files.tables.description import column_of, describe, described
+from msg_adapters.cdr import refilled
 from msg_adapters.errors import MessageError
-from msg_adapters.joint_state_rows import joint_state_rows
-from msg_adapters.odometry import OdometryCdrWriter, read_odometry
-from msg_adapters.rows import refilled
+from msg_adapters.joint_state_cdr import joint_state_rows
+from msg_adapters.pose import OdometryCdrWriter, read_odometry
 
 DESCRIPTION = "/result"  # topic
 FIELDS = ("position", "velocity", "effort")  # of a JointState

@@ -24,8 +24,8 @@ from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
-from msg_adapters.joint_state_rows import JointStateRowsReader
-from msg_adapters.odometry import OdometrySample, read_odometry
+from msg_adapters.joint_state_cdr import JointStateRowsReader
+from msg_adapters.pose import OdometrySample, read_odometry
 from msg_adapters.wrench import WrenchSample, read_wrench
 
 _LEAST = 16_384  # messages of a piece, but of the last

@@ -85,7 +85,7 @@ class InverseDynamicsNode(Shell):
             return
         from nav_msgs.msg import Odometry  # only where something flies
 
-        from msg_adapters.odometry import read_odometry
+        from msg_adapters.pose import read_odometry
 
         for topic, base in zip(whole.body_topics, self._pipeline.scene.robot.bases, strict=True):
             take = self._on_part(topic, partial(read_odometry, link=base.frame))

@@ -32,8 +32,8 @@ from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
-from msg_adapters.odometry import OdometrySample
+from msg_adapters.multi_array import MultiArrayCdrWriter
+from msg_adapters.pose import OdometrySample
 from msg_adapters.wrench import write_wrench
 
 MOST = 500  # samples that wait, as many as the transport keeps

@@ -23,7 +23,7 @@ from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWriter
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.multi_array import MultiArrayCdrWriter
 
 
 class ProjectorPipeline:

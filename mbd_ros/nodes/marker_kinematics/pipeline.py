@@ -15,8 +15,8 @@ from mbd_ros.methods.signals.differentiation import CausalDifferentiator, Sample
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.marker_places import MarkerPlaceReader
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.markers import MarkerPlaceReader
+from msg_adapters.multi_array import MultiArrayCdrWriter
 
 RESIDUALS = ("rms", "max", "objective")  # in the layout of the message
 _SEEK = 64  # frames that miss by too much, at most, between two searches from nothing

@@ -16,7 +16,7 @@ from mbd_ros.nodes.shell.shell import Shell
 from msg_adapters.diagnostics import OK
 from msg_adapters.inertia import write_inertia
 from msg_adapters.joint_state import JointSample
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.multi_array import MultiArrayCdrWriter
 
 DEPTH = 10
 LABELS = tuple(f"{a}.{b}" for a in PLACES for b in PLACES)

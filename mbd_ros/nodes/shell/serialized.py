@@ -14,7 +14,7 @@ from trajectory_msgs.msg import JointTrajectory
 
 from mbd_ros.scene.built_scene import MeasuredWrench
 from msg_adapters.errors import MessageError
-from msg_adapters.joint_trajectory_cdr import require_points
+from msg_adapters.joint_trajectory import require_points
 from msg_adapters.wrench import WrenchSample, read_wrench
 
 LARGEST = 262_144  # bytes: 4000 joints

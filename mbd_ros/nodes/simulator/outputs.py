@@ -16,7 +16,7 @@ from mbd_ros.methods.simulation.live_simulation import LiveSimulation
 from mbd_ros.nodes.shell.robot_description import LATCHED
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.nodes.simulator.plant import Plant
-from msg_adapters.clock import write_clock
+from msg_adapters.time import write_clock
 
 BEAT = 0.05  # s between messages of a clock that stands
 STATES = QoSProfile(depth=100)  # a recorder may be away for 0.1 s at 1 kHz

@@ -24,9 +24,9 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.simulation import Tell, build_simulation
 from msg_adapters.errors import MessageError, listed
-from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.joint_trajectory import JointMotionWriter
+from msg_adapters.multi_array import MultiArrayCdrWriter
 from msg_adapters.time import NANOSECONDS
 from msg_adapters.wrench import read_wrench
 
@@ -300,7 +300,7 @@ def _odometry(scene: Scene) -> list[Any]:
     """Writers of the free bodies."""
     if not scene.robot.bases:
         return []
-    from msg_adapters.odometry import OdometryCdrWriter  # only where something flies
+    from msg_adapters.pose import OdometryCdrWriter  # only where something flies
 
     return [OdometryCdrWriter(WORLD, base.frame) for base in scene.robot.bases]
 

@@ -20,7 +20,7 @@ from mbd_ros.parts.sensors.effort import Effort
 from mbd_ros.parts.sensors.encoder import Encoder
 from mbd_ros.parts.sensors.tachometer import Tachometer
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.multi_array import MultiArrayCdrWriter
 
 _SOONER = 0.5e-9  # s by which a message may be early: rounding
 

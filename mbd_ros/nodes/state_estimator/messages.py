@@ -12,7 +12,7 @@ from mbd_ros.features.estimation.estimation import Estimation
 from mbd_ros.features.estimation.faults import Consistency
 from mbd_ros.methods.estimation.process import Belief
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.multi_array_cdr import MatrixCdrWriter, MultiArrayCdrWriter
+from msg_adapters.multi_array import MatrixCdrWriter, MultiArrayCdrWriter
 
 
 class EstimateWriter:

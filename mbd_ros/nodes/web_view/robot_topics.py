@@ -31,9 +31,9 @@ from mbd_ros.view.frames import Frames
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateCdrReader
-from msg_adapters.labelled import read_labelled
-from msg_adapters.marker_shapes import Shapes, read_shapes
-from msg_adapters.odometry import read_odometry
+from msg_adapters.markers import Shapes, read_shapes
+from msg_adapters.multi_array import values_by_label
+from msg_adapters.pose import read_odometry
 from msg_adapters.wrench import WrenchSample, read_wrench
 
 NEWEST = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -159,7 +159,7 @@ class RobotTopics:
         """Internal states, without which forces of parts that have some are unknown."""
         if self._outputs is None:
             return False
-        z = self._outputs.message(lambda msg: read_labelled(msg, self._internals))
+        z = self._outputs.message(lambda msg: values_by_label(msg, self._internals))
         if z is not None:
             self._z = z
         return z is not None

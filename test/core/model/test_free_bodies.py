@@ -22,7 +22,7 @@ from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.nodes.inverse_dynamics.pipeline import MOST, WholeSamples
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.odometry import OdometryCdrWriter, read_odometry
+from msg_adapters.pose import OdometryCdrWriter, read_odometry
 
 ODOMETRY, JOINT_STATE = "nav_msgs/msg/Odometry", "sensor_msgs/msg/JointState"
 JOINTS = ("left_swing", "right_slide")

@@ -25,7 +25,7 @@ from mbd_ros.motion.filters import observe
 from mbd_ros.motion.samples import Task
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.joint_state import write_joint_state
-from msg_adapters.joint_state_rows import joint_state_rows
+from msg_adapters.joint_state_cdr import joint_state_rows
 
 SCENES = ROOT / "config" / "scenes"
 JOINT_STATE, TEXT = "sensor_msgs/msg/JointState", "std_msgs/msg/String"

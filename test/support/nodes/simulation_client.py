@@ -22,8 +22,8 @@ from std_msgs.msg import Float64MultiArray
 from std_srvs.srv import SetBool, Trigger
 from trajectory_msgs.msg import JointTrajectory
 
-from msg_adapters.joint_motion import JointMotion, read_joint_motion
 from msg_adapters.joint_state import JointSample, read_joint_state
+from msg_adapters.joint_trajectory import JointMotion, read_joint_motion
 
 TARGET = ("-m", "mbd_ros.nodes", "simulator")
 NAME = "/simulator"

@@ -24,7 +24,7 @@ from mbd_ros.scene.describe.scene_summary import coordinate_names
 from msg_adapters.diagnostics import OK
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.multi_array import MultiArrayCdrWriter
 from msg_adapters.wrench import write_wrench
 
 _LACKS = 1.0e-6  # of the largest need

@@ -25,7 +25,7 @@ from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.variants import with_numbers
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.multi_array import MultiArrayCdrWriter
 from msg_adapters.wrench import write_wrench
 
 _FORM = "<name>: <part>.<argument>=<number>, .."

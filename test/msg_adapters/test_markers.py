@@ -5,7 +5,7 @@ import pytest
 from visualization_msgs.msg import Marker, MarkerArray
 
 from msg_adapters.errors import MessageError
-from msg_adapters.marker_places import MarkerPlaceReader, write_marker_places
+from msg_adapters.markers import MarkerPlaceReader, write_marker_places
 
 LABELS = ("heel", "toe", "knee")
 PLACES = np.array([[0.1, 0.2, 0.3], [1.0, -2.0, 3.0], [0.0, 0.0, 0.5]])

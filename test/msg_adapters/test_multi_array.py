@@ -6,8 +6,7 @@ from rclpy.serialization import deserialize_message
 from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.files.bags.bag_types import from_cdr, to_cdr
-from msg_adapters.multi_array import read_multi_array
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.multi_array import MultiArrayCdrWriter, read_multi_array
 
 TYPE = "std_msgs/msg/Float64MultiArray"
 

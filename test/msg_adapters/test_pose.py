@@ -7,7 +7,7 @@ from rclpy.serialization import deserialize_message
 
 from mbd_ros.files.bags.bag_types import from_cdr, to_cdr
 from msg_adapters.errors import MessageError
-from msg_adapters.odometry import OdometryCdrWriter, read_odometry
+from msg_adapters.pose import OdometryCdrWriter, read_odometry
 
 TYPE, STAMP = "nav_msgs/msg/Odometry", 123_456_789_012_345
 POSE = np.array([1.0, -2.0, 3.0, 0.1, 0.5, -0.5, 0.7])
