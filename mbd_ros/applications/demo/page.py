@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import platform
 from base64 import b64encode
 from collections.abc import Iterator, Mapping, Sequence
 from html import escape
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mbd_ros.applications.demo.summary import Table
+from mbd_ros.applications.demo.files import PAGE, PICTURE
+from mbd_ros.applications.demo.processes import Failed
+from mbd_ros.applications.demo.summary import Table, lines
 from mbd_ros.errors import install_hint
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
@@ -36,6 +40,37 @@ table { width: auto; } thead th.number { white-space: normal; }
   .plots figure { display: inline-block; width: 48%; vertical-align: top; }
   .plots figure img { max-height: 165mm; } }
 """
+
+
+def write_page(folder: Path, overview: bytes, content: Content) -> None:
+    """Write the page of a demo, and its overview as a picture of its own."""
+    (folder / PICTURE).write_bytes(overview)
+    (folder / PAGE).write_text(page(content), encoding="utf-8")
+
+
+def conclusion(content: Content, files: str, out: Path) -> Iterator[str]:
+    """Yield the tables of a demo for a terminal, and where its files are.
+
+    Args:
+        files: What the folder holds besides picture and page.
+        out: The folder.
+
+    Raises:
+        Failed: A check is not met.
+    """
+    for table in content.tables:
+        yield from lines(table)
+    yield f"\n{files}, picture and page: {out}; open {PAGE} there"
+    if content.failed:
+        raise Failed("; ".join(content.failed))
+
+
+def machine(packages: Sequence[str]) -> dict[str, str]:
+    """Versions of packages and the machine, as `Content.made` tells them."""
+    return {
+        "Versions": ", ".join(f"{name} {version(name)}" for name in packages),
+        "Machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
+    }
 
 
 def page(content: Content) -> str:

@@ -1,10 +1,8 @@
 """A simulated robot controlled over topics, the inverse dynamics watching: `mbd-ros demo`."""
 
-import platform
 from collections.abc import Iterator
 from datetime import datetime, timezone
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,8 +12,6 @@ from mbd_ros.applications.demo.files import (
     KNOWN,
     MASS_SCALE,
     OF_LOOP,
-    PAGE,
-    PICTURE,
     PLANT,
     RATE,
     replacing_folder,
@@ -24,74 +20,14 @@ from mbd_ros.applications.demo.files import (
 )
 from mbd_ros.applications.demo.loop import CUTOFF, LoopRun, record_loop
 from mbd_ros.applications.demo.numbers import DemoNumbers, read_signals
-from mbd_ros.applications.demo.page import Content, moving_run, page
+from mbd_ros.applications.demo.page import Content, conclusion, machine, moving_run, write_page
 from mbd_ros.applications.demo.panels import BLACK, BLUE, ORANGE, line, name, picture
-from mbd_ros.applications.demo.processes import Failed
-from mbd_ros.applications.demo.summary import Table, lines
+from mbd_ros.applications.demo.summary import Table
 from mbd_ros.applications.demo.tables import tables
 from mbd_ros.applications.demo.task import DISTURBANCE_SHARE, LAWS, ROBOTS, disturbance, trajectory
 from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.simulation import build_simulation
-
-# Pictures of a demo.
-
-
-def pictures(numbers: DemoNumbers) -> dict[str, bytes]:
-    """PNG by title."""
-    kinds = {
-        "Motion and reference": _draw_motion,
-        "Tracking error": _draw_errors,
-        "Torques": _draw_torques,
-    }
-    count = len(numbers.joints)
-    made = {title: picture(partial(draw, numbers), count) for title, draw in kinds.items()}
-    if numbers.signals.forces is not None:
-        rows = len(numbers.signals.forces.names)
-        made["Coupling and loop forces"] = picture(partial(_draw_forces, numbers), rows)
-    return made
-
-
-def overview(numbers: DemoNumbers) -> bytes:
-    """One PNG with motion, error and torques of every joint side by side."""
-    draws = [partial(draw, numbers) for draw in (_draw_motion, _draw_errors, _draw_torques)]
-    return panels.overview(list(draws), len(numbers.joints))
-
-
-def _draw_motion(numbers: DemoNumbers, panel: Any, i: int) -> None:
-    states = numbers.signals.states
-    column = states.columns(numbers.joints)[i]
-    line(panel, states.time, states.position[:, column], BLUE, "measured")
-    reference = numbers.reference_at(states.time)[:, i]
-    line(panel, states.time, reference, BLACK, "reference", "--")
-    name(panel, f"{numbers.joints[i]} [rad]")
-
-
-def _draw_errors(numbers: DemoNumbers, panel: Any, i: int) -> None:
-    loop = numbers.signals.loop
-    line(panel, loop.time, 1e3 * loop.position[:, i], BLUE, "error")
-    name(panel, f"{numbers.joints[i]} [mrad]")
-
-
-def _draw_torques(numbers: DemoNumbers, panel: Any, i: int) -> None:
-    time = numbers.time
-    line(panel, time, numbers.commands[:, i], BLUE, "command")
-    line(panel, time, numbers.estimates[:, i], ORANGE, "estimate")
-    rest = numbers.estimates[:, i] - numbers.disturbance[:, i]
-    line(panel, time, rest, BLACK, "estimate less disturbance", "--")
-    name(panel, f"{numbers.joints[i]} [N·m]")
-
-
-def _draw_forces(numbers: DemoNumbers, panel: Any, i: int) -> None:
-    forces, estimated = numbers.signals.forces, numbers.signals.coupling
-    assert forces is not None
-    row = numbers.rows[i]
-    line(panel, forces.time, forces.effort[:, i], BLUE, "simulated")
-    if estimated is not None and row.name in estimated.names:
-        (column,) = estimated.columns([row.name])
-        line(panel, estimated.time, estimated.effort[:, column], ORANGE, "estimated", "--")
-    name(panel, f"{row.name} [{row.unit}]")
-
 
 SHORTEST, LONGEST = 2.0, 60.0  # s
 _MOVES = (
@@ -138,15 +74,10 @@ def demo(order: Demo) -> Iterator[str]:
         numbers = DemoNumbers(read_signals(folder / BAG, run.controller), folder)
         summary = tables(numbers)
         failed = [f"{c.what}: {c.found}" for c in numbers.checks() if not c.is_met]
-        (folder / PICTURE).write_bytes(overview(numbers))
         moving = moving_run(numbers, folder / BAG, robot.title)
-        text = page(_content(order, numbers, summary, failed, gains, moving))
-        (folder / PAGE).write_text(text, encoding="utf-8")
-    for table in summary:
-        yield from lines(table)
-    yield f"\nrecording, scenes, picture and page: {order.out}; open {PAGE} there"
-    if failed:
-        raise Failed("; ".join(failed))
+        content = _content(order, numbers, summary, failed, gains, moving)
+        write_page(folder, overview(numbers), content)
+    yield from conclusion(content, "recording, scenes", order.out)
 
 
 def _prepare(order: Demo, folder: Path) -> tuple[LoopRun, dict[str, Any]]:
@@ -198,10 +129,65 @@ def _content(
         "Gains": ", ".join(f"{k.removeprefix('gains.')} {v}" for k, v in gains.items()),
         "Inverse dynamics": f"causal derivatives, {CUTOFF:g} Hz",
         "Files": ", ".join(OF_LOOP),
-        "Versions": ", ".join(f"{name} {version(name)}" for name in _PACKAGES),
-        "Machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
+        **machine(_PACKAGES),
     }
     facts = f"{begin:%Y-%m-%d %H:%M} UTC, {law}, {order.time:g} s of simulated time."
     title = f"Demo: {robot.title}"
     moves = (moving, _MOVES)
     return Content(title, facts, failed, text, moves, pictures(numbers), summary, made)
+
+
+def pictures(numbers: DemoNumbers) -> dict[str, bytes]:
+    """PNG by title."""
+    kinds = {
+        "Motion and reference": _draw_motion,
+        "Tracking error": _draw_errors,
+        "Torques": _draw_torques,
+    }
+    count = len(numbers.joints)
+    made = {title: picture(partial(draw, numbers), count) for title, draw in kinds.items()}
+    if numbers.signals.forces is not None:
+        rows = len(numbers.signals.forces.names)
+        made["Coupling and loop forces"] = picture(partial(_draw_forces, numbers), rows)
+    return made
+
+
+def _draw_motion(numbers: DemoNumbers, panel: Any, i: int) -> None:
+    states = numbers.signals.states
+    column = states.columns(numbers.joints)[i]
+    line(panel, states.time, states.position[:, column], BLUE, "measured")
+    reference = numbers.reference_at(states.time)[:, i]
+    line(panel, states.time, reference, BLACK, "reference", "--")
+    name(panel, f"{numbers.joints[i]} [rad]")
+
+
+def _draw_errors(numbers: DemoNumbers, panel: Any, i: int) -> None:
+    loop = numbers.signals.loop
+    line(panel, loop.time, 1e3 * loop.position[:, i], BLUE, "error")
+    name(panel, f"{numbers.joints[i]} [mrad]")
+
+
+def _draw_torques(numbers: DemoNumbers, panel: Any, i: int) -> None:
+    time = numbers.time
+    line(panel, time, numbers.commands[:, i], BLUE, "command")
+    line(panel, time, numbers.estimates[:, i], ORANGE, "estimate")
+    rest = numbers.estimates[:, i] - numbers.disturbance[:, i]
+    line(panel, time, rest, BLACK, "estimate less disturbance", "--")
+    name(panel, f"{numbers.joints[i]} [N·m]")
+
+
+def _draw_forces(numbers: DemoNumbers, panel: Any, i: int) -> None:
+    forces, estimated = numbers.signals.forces, numbers.signals.coupling
+    assert forces is not None
+    row = numbers.rows[i]
+    line(panel, forces.time, forces.effort[:, i], BLUE, "simulated")
+    if estimated is not None and row.name in estimated.names:
+        (column,) = estimated.columns([row.name])
+        line(panel, estimated.time, estimated.effort[:, column], ORANGE, "estimated", "--")
+    name(panel, f"{row.name} [{row.unit}]")
+
+
+def overview(numbers: DemoNumbers) -> bytes:
+    """One PNG with motion, error and torques of every joint side by side."""
+    draws = [partial(draw, numbers) for draw in (_draw_motion, _draw_errors, _draw_torques)]
+    return panels.overview(list(draws), len(numbers.joints))

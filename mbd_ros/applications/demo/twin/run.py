@@ -1,18 +1,15 @@
 """A press and its twin, as a page: `mbd-ros demo twin`. No topic, no ROS."""
 
-import platform
 from collections.abc import Iterator
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from mbd_ros.applications.demo import panels
-from mbd_ros.applications.demo.files import KNOWN, PAGE, PICTURE, TWIN_TABLE, replacing_folder
-from mbd_ros.applications.demo.page import Content, moving_result, page
+from mbd_ros.applications.demo.files import KNOWN, TWIN_TABLE, replacing_folder
+from mbd_ros.applications.demo.page import Content, conclusion, machine, moving_result, write_page
 from mbd_ros.applications.demo.panels import BLACK, BLUE, ORANGE, line, name, picture
-from mbd_ros.applications.demo.processes import Failed
-from mbd_ros.applications.demo.summary import Table, check_table, lines
+from mbd_ros.applications.demo.summary import Table, check_table
 from mbd_ros.applications.demo.task import TWIN
 from mbd_ros.applications.demo.twin.numbers import (
     DURATION,
@@ -25,9 +22,73 @@ from mbd_ros.applications.demo.twin.numbers import (
 )
 from mbd_ros.files.table import MAIN, Result
 
-# Pictures of the press and its twin.
-
 _CLOSURE = "rocker_loop_closure.x"
+TITLE, _SLOWER = "Demo: a press and its twin", 2.0
+
+
+def twin(out: Path) -> Iterator[str]:
+    """Simulate the press, follow it, write page, picture and table.
+
+    Args:
+        out: Folder, see `replacing_folder`.
+
+    Yields:
+        What happens, then the summary.
+
+    Raises:
+        DataError: A place that is not accepted.
+        Failed: A check is not met; the page is kept.
+    """
+    with replacing_folder(out, KNOWN) as folder:
+        yield f"{TWIN} ..."
+        numbers = TwinNumbers()
+        checks = numbers.checks()
+        summary = [_faults(numbers), check_table(checks)]
+        failed = [f"{c.what}: {c.found}" for c in checks if not c.is_met]
+        _samples(numbers).to(folder / f"{TWIN_TABLE}.csv")
+        content = _content(numbers, summary, failed)
+        write_page(folder, overview(numbers), content)
+    yield from conclusion(content, "table", out)
+
+
+def _faults(numbers: TwinNumbers) -> Table:
+    rows = []
+    for run in numbers.runs:
+        said = [f"{what} at {t:.2f} s" for t, what in run.named if what]
+        late = numbers.delay(run)
+        rows.append((run.fault or "none", "; ".join(said) or "-", f"{late:.2f}" if late else "-"))
+    heads = ("planted fault", "what the twin says", "after [s]")
+    return Table(f"Faults, planted at {FAULT:g} s", heads, rows)
+
+
+def _samples(numbers: TwinNumbers) -> Result:
+    return Result({MAIN: numbers.runs[-1].samples}, {"job": "demo"})
+
+
+def _content(numbers: TwinNumbers, summary: list[Table], failed: list[str]) -> Content:
+    noise = numbers.scene.sensors[0].noise  # type: ignore[attr-defined]
+    text = [
+        "A motor turns the crank of a four-bar; its rocker works against a spring and friction of "
+        f"its bearing. One encoder sees the crank, with noise of {1e3 * noise:g} mrad, and the "
+        "torque of the motor is known. The twin, an extended Kalman filter on the loop, finds all "
+        "other joints and the forces in the loop.",
+        "What moves the press and is not in the model is estimated as an effort on the joint that "
+        "shows it best. Each hypothesis says which effort would be lacking if it were true; over "
+        f"the last {WINDOW:g} s the twin compares, and names what explains the lacking effort.",
+    ]
+    made = {
+        "Hypotheses": "; ".join(
+            f"{name}: {', '.join(f'{k} = {v:g}' for k, v in numbers_.items())}"
+            for name, numbers_ in HYPOTHESES.items()
+        ),
+        "Accepted": f"a fault is named within {NAMED:g} s",
+        **machine(("numpy", "pin")),
+    }
+    moves = moving_result(numbers.scene, _samples(numbers), TITLE, _SLOWER)
+    caption = f"The press with the last fault, {_SLOWER:g} times slower."
+    facts = f"{len(numbers.runs)} runs of {DURATION:g} s, {1 / STEP:g} samples a second."
+    shown = pictures(numbers)
+    return Content(TITLE, facts, failed, text, (moves, caption), shown, summary, made)
 
 
 def pictures(numbers: TwinNumbers) -> dict[str, bytes]:
@@ -36,11 +97,6 @@ def pictures(numbers: TwinNumbers) -> dict[str, bytes]:
         "What nothing measures": picture(partial(_draw_sound, numbers), 3),
         "What the model lacks": picture(partial(_draw_lacking, numbers), 1 + len(HYPOTHESES)),
     }
-
-
-def overview(numbers: TwinNumbers) -> bytes:
-    """One PNG with both side by side."""
-    return panels.overview([partial(_draw_sound, numbers), partial(_draw_lacking, numbers)], 3)
 
 
 def _draw_sound(numbers: TwinNumbers, panel: Any, i: int) -> None:
@@ -67,75 +123,6 @@ def _draw_lacking(numbers: TwinNumbers, panel: Any, i: int) -> None:
             panel.axvline(t, color=ORANGE, lw=1.0)
 
 
-TITLE, _SLOWER = "Demo: a press and its twin", 2.0
-
-
-def twin(out: Path) -> Iterator[str]:
-    """Simulate the press, follow it, write page, picture and table.
-
-    Args:
-        out: Folder, see `replacing_folder`.
-
-    Yields:
-        What happens, then the summary.
-
-    Raises:
-        DataError: A place that is not accepted.
-        Failed: A check is not met; the page is kept.
-    """
-    with replacing_folder(out, KNOWN) as folder:
-        yield f"{TWIN} ..."
-        numbers = TwinNumbers()
-        checks = numbers.checks()
-        summary = [_faults(numbers), check_table(checks)]
-        failed = [f"{c.what}: {c.found}" for c in checks if not c.is_met]
-        _samples(numbers).to(folder / f"{TWIN_TABLE}.csv")
-        (folder / PICTURE).write_bytes(overview(numbers))
-        text = page(_content(numbers, summary, failed))
-        (folder / PAGE).write_text(text, encoding="utf-8")
-    for table in summary:
-        yield from lines(table)
-    yield f"\ntable, picture and page: {out}; open {PAGE} there"
-    if failed:
-        raise Failed("; ".join(failed))
-
-
-def _faults(numbers: TwinNumbers) -> Table:
-    rows = []
-    for run in numbers.runs:
-        said = [f"{what} at {t:.2f} s" for t, what in run.named if what]
-        late = numbers.delay(run)
-        rows.append((run.fault or "none", "; ".join(said) or "-", f"{late:.2f}" if late else "-"))
-    heads = ("planted fault", "what the twin says", "after [s]")
-    return Table(f"Faults, planted at {FAULT:g} s", heads, rows)
-
-
-def _content(numbers: TwinNumbers, summary: list[Table], failed: list[str]) -> Content:
-    noise = numbers.scene.sensors[0].noise  # type: ignore[attr-defined]
-    text = [
-        "A motor turns the crank of a four-bar; its rocker works against a spring and friction of "
-        f"its bearing. One encoder sees the crank, with noise of {1e3 * noise:g} mrad, and the "
-        "torque of the motor is known. The twin, an extended Kalman filter on the loop, finds all "
-        "other joints and the forces in the loop.",
-        "What moves the press and is not in the model is estimated as an effort on the joint that "
-        "shows it best. Each hypothesis says which effort would be lacking if it were true; over "
-        f"the last {WINDOW:g} s the twin compares, and names what explains the lacking effort.",
-    ]
-    made = {
-        "Hypotheses": "; ".join(
-            f"{name}: {', '.join(f'{k} = {v:g}' for k, v in numbers_.items())}"
-            for name, numbers_ in HYPOTHESES.items()
-        ),
-        "Accepted": f"a fault is named within {NAMED:g} s",
-        "Versions": ", ".join(f"{name} {version(name)}" for name in ("numpy", "pin")),
-        "Machine": f"{platform.system()} {platform.machine()}, Python {platform.python_version()}",
-    }
-    moves = moving_result(numbers.scene, _samples(numbers), TITLE, _SLOWER)
-    caption = f"The press with the last fault, {_SLOWER:g} times slower."
-    facts = f"{len(numbers.runs)} runs of {DURATION:g} s, {1 / STEP:g} samples a second."
-    shown = pictures(numbers)
-    return Content(TITLE, facts, failed, text, (moves, caption), shown, summary, made)
-
-
-def _samples(numbers: TwinNumbers) -> Result:
-    return Result({MAIN: numbers.runs[-1].samples}, {"job": "demo"})
+def overview(numbers: TwinNumbers) -> bytes:
+    """One PNG with both side by side."""
+    return panels.overview([partial(_draw_sound, numbers), partial(_draw_lacking, numbers)], 3)
