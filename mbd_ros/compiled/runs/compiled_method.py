@@ -13,6 +13,7 @@ from mbd_ros.compiled.code.emit import emitted
 from mbd_ros.compiled.runs.event_stepper import EventStepper, ModeStepper
 from mbd_ros.compiled.runs.native_run import NativeRun
 from mbd_ros.compiled.runs.native_stepper import NativeStepper
+from mbd_ros.compiled.runs.run_layout import internal_bounds
 from mbd_ros.compiled.runs.run_source import Sizes, with_integrators
 from mbd_ros.compiled.symbols.trace import Traced, trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
@@ -32,8 +33,8 @@ def silent(line: str) -> None:
     """Nobody is told."""
 
 
-class CompiledMethod(Integrator):
-    """The steps of another method, and the projection after them, in native code.
+class NativeMethod(Integrator):
+    """A method that is another one with native code for its steps, or for its equations.
 
     Args:
         stabilization: What keeps the rows.
@@ -46,22 +47,18 @@ class CompiledMethod(Integrator):
         library: What it was compiled to.
     """
 
-    keeps_constraints = True
-    event_steps = EventStepper
     moves_internal = True
-    turns = True
 
     def __init__(
         self,
         method: Integrator,
         stabilization: Stabilization,
         say: Say = silent,
-        kept: dict[Any, Built] | None = None,
+        kept: dict[Any, Any] | None = None,
     ) -> None:
         self.method, self._stabilization, self._say = method, stabilization, say
         self._kept = {} if kept is None else kept
         self.order, self.stable = method.order, method.stable
-        self.event_driven, self.finds_surfaces = method.event_driven, method.finds_surfaces
         self.traced: Traced | None = None
         self.library: Library | None = None
 
@@ -73,6 +70,24 @@ class CompiledMethod(Integrator):
     def growth(self, motion: LinearMotion, dt: float) -> float:
         """Factor by which a step multiplies a linear motion at most."""
         return self.method.growth(motion, dt)
+
+
+class CompiledMethod(NativeMethod):
+    """The steps of another method, and the projection after them, in native code."""
+
+    keeps_constraints = True
+    event_steps = EventStepper
+    turns = True
+
+    @property
+    def event_driven(self) -> bool:  # type: ignore[override]
+        """Whether the method stops at events."""
+        return self.method.event_driven
+
+    @property
+    def finds_surfaces(self) -> bool:  # type: ignore[override]
+        """Whether the method finds surfaces across which forces jump."""
+        return self.method.finds_surfaces
 
     def refuse(self, system: Any) -> None:
         """Refuse what native runs do not do.
@@ -110,13 +125,10 @@ class CompiledMethod(Integrator):
         if isinstance(system, InWorldAxes):
             plain, form = TurnedSteps(system, plain), system
         self.traced, sizes, self.library = built = self._built(system, dt)
-        internals = system.internals
-        widths = np.minimum(internals.upper - internals.lower, 1.0)
-        bounds = np.array([internals.lower, internals.upper, widths]).reshape(3, -1)
         pairs = ((at, source.pieces()) for at, source in system.loads.sources.smooth)
         smooth = [(at, pieces) for at, pieces in pairs if pieces is not None]
         run = NativeRun(
-            *(self.library, sizes, self.method, dt, bounds, np.ones(sizes.modes)),
+            *(self.library, sizes, self.method, dt, internal_bounds(system), np.ones(sizes.modes)),
             least_health=built.traced.least_health,
             smooth=smooth,
             form=form,

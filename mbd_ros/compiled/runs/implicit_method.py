@@ -14,7 +14,7 @@ from mbd_ros.compiled.build.compiler import BuildError
 from mbd_ros.compiled.build.library import Library, load
 from mbd_ros.compiled.build.verify import plain_rates, some_inputs, some_state, verify
 from mbd_ros.compiled.code.emit import emitted
-from mbd_ros.compiled.runs.compiled_method import Say, silent
+from mbd_ros.compiled.runs.compiled_method import NativeMethod, Say, silent
 from mbd_ros.compiled.runs.compiled_system import CompiledSystem
 from mbd_ros.compiled.symbols.trace import Traced, trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
@@ -23,9 +23,7 @@ from mbd_ros.core.dynamics.linearization import Balance
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import MbdError
-from mbd_ros.methods.integration.linear_motion import LinearMotion
-from mbd_ros.methods.integration.stepping import Integrator, Stepper
-from mbd_ros.methods.projection.assembly import Stabilization
+from mbd_ros.methods.integration.stepping import Stepper
 from mbd_ros.methods.simulation.checked_steps import happenings, prepared
 
 _SEED = 22
@@ -36,44 +34,15 @@ Field = Callable[[State], Array]
 EXACT = "accelerate", "derivatives"  # what exact derivatives of a system need
 
 
-class ImplicitMethod(Integrator):
-    """The steps of a method that solves by Newton's method, over a compiled system.
+class ImplicitMethod(NativeMethod):
+    """The steps of a method that solves by Newton's method, over a compiled system."""
 
-    Args:
-        stabilization: What keeps the rows.
-        say: Is told what takes time.
-        kept: As for `CompiledMethod`.
-
-    Attributes:
-        traced: The symbolic form of the system that was prepared last.
-        library: What it was compiled to.
-    """
-
-    moves_internal = True
     is_explicit = False
 
-    def __init__(
-        self,
-        method: Integrator,
-        stabilization: Stabilization,
-        say: Say = silent,
-        kept: dict[Any, Any] | None = None,
-    ) -> None:
-        self.method, self._stabilization, self._say = method, stabilization, say
-        self._kept = {} if kept is None else kept
-        self.order, self.stable = method.order, method.stable
-        self.keeps_constraints = method.keeps_constraints
-        self.traced: Traced | None = None
-        self.library: Library | None = None
-
     @property
-    def title(self) -> str:
-        """That of the method, and that it is compiled."""
-        return f"compiled {self.method.title}"
-
-    def growth(self, motion: LinearMotion, dt: float) -> float:
-        """Factor by which a step multiplies a linear motion at most."""
-        return self.method.growth(motion, dt)
+    def keeps_constraints(self) -> bool:  # type: ignore[override]
+        """Whether the method keeps constraints by itself."""
+        return self.method.keeps_constraints
 
     def refuse(self, system: Any) -> None:
         """Refuse what stops steps.

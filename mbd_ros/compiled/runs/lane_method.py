@@ -3,14 +3,13 @@
 from collections.abc import Callable
 from typing import Any
 
-import numpy as np
-
 from mbd_ros.compiled.build.compiler import lanes
 from mbd_ros.compiled.build.library import load
 from mbd_ros.compiled.build.verify import verify
 from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
 from mbd_ros.compiled.runs.lane_runs import LaneRuns
+from mbd_ros.compiled.runs.run_layout import internal_bounds
 from mbd_ros.compiled.runs.run_source import with_integrators
 from mbd_ros.compiled.symbols.trace import Traced
 from mbd_ros.compiled.symbols.untraceable import Untraceable
@@ -53,11 +52,8 @@ def lane_runs(
         raise Untraceable("paths that wrap are searched one run at a time")
     source = with_integrators(emit(functions, lanes()), sizes)
     library = load(source, say, lambda library: verify(library, form, system, p))
-    internals = system.internals
-    widths = np.minimum(internals.upper - internals.lower, 1.0)
-    bounds = np.array([internals.lower, internals.upper, widths]).reshape(3, -1)
-    idle, health = system.loads.idle, form.least_health
-    return LaneRuns(library, sizes, method, dt, bounds, idle, health)
+    bounds, idle = internal_bounds(system), system.loads.idle
+    return LaneRuns(library, sizes, method, dt, bounds, idle, form.least_health)
 
 
 def _refuse(system: Any, method: Integrator) -> None:

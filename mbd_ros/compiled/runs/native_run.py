@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 import math
 from collections.abc import Callable, Collection, Sequence
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -212,8 +212,12 @@ class NativeRun(RunMemory):
             self._u[: len(u)] = u
         return Status(self._c.step_alone(self._o, self._r, self._u.ctypes.data, end))
 
-    def samples(self, times: SampleTimes, held: HeldTable, steps: int, most: int) -> Block:
-        """The samples after the newest one.
+    def samples(
+        self, times: SampleTimes, held: HeldTable, steps: int, most: int
+    ) -> tuple[Array, Status]:
+        """The samples after the newest one, and why there are no more.
+
+        A row is time, positions and velocities of all joints, and internal states.
 
         Args:
             times: When they are due.
@@ -230,14 +234,14 @@ class NativeRun(RunMemory):
             *(self._o, self._r, ctypes.addressof(value), ctypes.addressof(table)),
             *(float(held.now[0]), steps, most, ctypes.addressof(self._written), rows.ctypes.data),
         )
-        return Block(rows[: self._written.value], Status(status))
+        return rows[: self._written.value], Status(status)
 
     def whole(
         self, y: State, first: Array, times: SampleTimes, held: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
         """What takes a run from its start to its end in one call, with as little else as can be.
 
-        It returns rows as those of a `Block`, and None where the run stopped earlier.
+        It returns rows as `samples` does, and None where the run stopped earlier.
 
         Args:
             y: Where it starts.
@@ -309,18 +313,6 @@ class NativeRun(RunMemory):
         nq, end = self.sizes.nq, self.sizes.nq + self.sizes.nv
         out = self._out.copy()
         return self._turned_back(t, out[:nq], out[nq:end], out[end:])
-
-
-class Block(NamedTuple):
-    """Samples that one call took.
-
-    Attributes:
-        rows: A sample a row: time, positions, velocities of all joints, internal states.
-        status: Why there are no more.
-    """
-
-    rows: Array
-    status: Status
 
 
 def bound(c: Any) -> Any:

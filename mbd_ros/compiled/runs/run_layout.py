@@ -216,3 +216,10 @@ def pieces_of(given: Sequence[tuple[slice, Pieces]]) -> Held:
         one.times, one.coefficients, one.jumps = (a.ctypes.data for a in (times, rows, jumps))
         arrays += [times, rows, jumps]
     return Held(found, tuple(arrays))
+
+
+def internal_bounds(system: Any) -> Array:
+    """Least and largest internal states, and what counts as an error of one, shape (3, nz)."""
+    internals = system.internals
+    widths = np.minimum(internals.upper - internals.lower, 1.0)
+    return np.array([internals.lower, internals.upper, widths]).reshape(3, -1)

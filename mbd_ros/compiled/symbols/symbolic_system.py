@@ -56,7 +56,7 @@ class SymbolicSystem:
         self.switches = len(system.exact.names) if mode is None and system.exact else 0
         p = ca.SX.sym("p", len(parameters) + self.switches)
         self._symbolic = parts_of(made, parameters, p[: len(parameters)])
-        self.tree = self._moved(tree_of(system.model))
+        self.tree = self._with_drive_inertias(tree_of(system.model))
         self.nq, self.nv, self.nz = system.nq, system.nv, system.internals.nz
         self.nu, self.m = len(system.loads.idle), len(system.multiplier_rows)
         self.mg, self.mh = len(system.rows), len(system.held.rows)
@@ -89,7 +89,7 @@ class SymbolicSystem:
         """Blocks of rows, with symbols for the parameters of their parts."""
         return [with_part(block, self.own(block.part)) for block in given]
 
-    def _moved(self, tree: Tree) -> Tree:
+    def _with_drive_inertias(self, tree: Tree) -> Tree:
         """The tree with what parameters change of the inertia of drives."""
         changed = [one for one in self.system.loads.actuators if one.name in self._symbolic]
         armature: Any = self.system.model.armature.astype(object)

@@ -124,7 +124,7 @@ class Traced:
     least_health = 1.0e-8
 
     def __init__(self, equations: Equations) -> None:
-        self.equations, self._answers = equations, Answers(equations)
+        self.equations, self._expressions = equations, Expressions(equations)
         self.tier, self.parameters = equations.tier, equations.parameters
         self.nq, self.nv = equations.nq, equations.nv
         self.nz, self.nu, self.np = equations.nz, equations.nu, len(equations.parameters)
@@ -162,7 +162,7 @@ class Traced:
         if name not in self._made:
             if name not in ARGUMENTS:
                 raise Untraceable(f"no function '{name}'; there are {', '.join(ARGUMENTS)}")
-            made: Callable[[], Sequence[Any]] = getattr(self._answers, name)
+            made: Callable[[], Sequence[Any]] = getattr(self._expressions, name)
             results = ca.cse([_dense(result) for result in made()])
             arguments = [self.equations.symbols[key] for key in ARGUMENTS[name]]
             paths = self.searched.symbols
@@ -180,7 +180,7 @@ def _dense(result: Any) -> Any:
     return found if found.shape[1] else ca.SX(found.shape[0], 1)
 
 
-class Answers:
+class Expressions:
     """What the functions of a traced system give, one method a function."""
 
     def __init__(self, equations: Equations) -> None:

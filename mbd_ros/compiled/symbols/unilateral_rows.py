@@ -24,7 +24,7 @@ from mbd_ros.compiled.symbols.scalar import plain
 from mbd_ros.compiled.symbols.symbolic_system import SymbolicSystem
 from mbd_ros.compiled.symbols.tree.link_rotations import ONE, ZERO
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
-from mbd_ros.core.contact_modes import slip_directions as names
+from mbd_ros.core.contact_modes import slip_directions
 from mbd_ros.core.contact_modes.contact_modes import CHANGE, PASSED
 from mbd_ros.core.contact_modes.row_distances import Reach
 from mbd_ros.core.rows.constraint import Kind
@@ -69,7 +69,7 @@ class UnilateralRows:
         ):
             raise Untraceable("contacts that slip have no form in their mode")
         chosen = [i for i, way in enumerate(self._mode) if way == 0]
-        self.on = self._whole.only(chosen).reduced(self._c)
+        self.on = self._rows.only(chosen).reduced(self._coordinates)
         self.bias = [self._biased(i) for i in chosen]
 
     def _trace_rows(self, system: SymbolicSystem) -> None:
@@ -81,22 +81,22 @@ class UnilateralRows:
         self._reach: Sequence[Reach] = () if event_driven is None else event_driven.reach
         given = () if event_driven is None else event_driven.solver.constraints.blocks
         blocks = system.blocks(given)
-        self._c = system.coordinates
+        self._coordinates = system.coordinates
         self._mu = _frictions(blocks)
-        self._whole = rows_of(blocks, system.k, system.x)
+        self._rows = rows_of(blocks, system.k, system.x)
         gains = [
             (plain(kp), plain(kd)) for block in blocks for kp, kd in zip(*block.gains, strict=True)
         ]
         self._conditions = [
-            self._whole.only([i]).conditions(system.velocity, pair)[0]
+            self._rows.only([i]).conditions(system.velocity, pair)[0]
             for i, pair in enumerate(gains)
         ]
         self._lower, self._upper = _bounds(blocks, system.k, system.x)
         self.slots = [slot for b in blocks for slot in range(b.slots.start, b.slots.stop)]
 
     def _biased(self, i: int) -> Any:
-        drift = self._c.drift
-        own = (value * plain(drift[j]) for j, value in self._whole.J[i].items())
+        drift = self._coordinates.drift
+        own = (value * plain(drift[j]) for j, value in self._rows.J[i].items())
         return self._conditions[i] + sum(own)
 
     def gaps(self) -> dict[int, Any]:
@@ -108,7 +108,7 @@ class UnilateralRows:
         found = {}
         for i, reach in enumerate(self._reach):
             if reach is Reach.GAP:
-                found[self.slots[i]] = self._whole.g[i]
+                found[self.slots[i]] = self._rows.g[i]
             elif reach is not Reach.FRICTION or (i - 1 not in self._mu and i - 2 not in self._mu):
                 raise Untraceable("its force jumps, and has no slope there")
         return found
@@ -123,8 +123,8 @@ class UnilateralRows:
 
     def pushes(self, lam: Sequence[Any]) -> list[Any]:
         """Generalized forces of multipliers on all joints, SX scalars."""
-        tau = [ZERO] * len(self._c.v)
-        for row, force in zip(self._whole.J, lam, strict=True):
+        tau = [ZERO] * len(self._coordinates.v)
+        for row, force in zip(self._rows.J, lam, strict=True):
             for j, value in row.items():
                 tau[j] = tau[j] + value * force
         return tau
@@ -142,7 +142,7 @@ class UnilateralRows:
             v: Velocity of all joints.
         """
         found: dict[Margin, Any] = {}
-        rates = self._whole.velocities(v)
+        rates = self._rows.velocities(v)
         for i, (way, reach) in enumerate(zip(self._mode, self._reach, strict=True)):
             if reach is Reach.FRICTION:
                 if not way and i - 1 in self._mu:
@@ -153,10 +153,10 @@ class UnilateralRows:
                 if not is_open(self._upper[i]):
                     found[i, -1] = self._upper[i] - lam[i]
             elif reach is Reach.DEMAND:
-                left = sum((value * a[j] for j, value in self._whole.J[i].items()), ZERO)
+                left = sum((value * a[j] for j, value in self._rows.J[i].items()), ZERO)
                 found[i, 0] = way * (left + self._conditions[i])
             else:
-                found[i, 0] = way * (self._whole.g[i] if reach is Reach.GAP else rates[i])
+                found[i, 0] = way * (self._rows.g[i] if reach is Reach.GAP else rates[i])
         return found
 
     def _grip(self, normal: int, lam: Sequence[Any]) -> Any:
@@ -194,18 +194,6 @@ def is_open(bound: Any) -> bool:
     return bool(bound.is_constant()) and math.isinf(float(bound))
 
 
-class Looks(NamedTuple):
-    """What is looked at after a step; SX scalars, one a row.
-
-    Attributes:
-        margins: Positive while the mode goes on.
-        rates: Rates of the margins of rows that are off, 0 where they have no height.
-    """
-
-    margins: list[Any]
-    rates: list[Any]
-
-
 class SwitchedRows(UnilateralRows):
     """Unilateral rows in every mode.
 
@@ -223,7 +211,7 @@ class SwitchedRows(UnilateralRows):
         tangents = {i + j for i in self._slips for j in (1, 2)}
         self._off = [way != 0.0 if i in tangents else way * way for i, way in enumerate(ways)]
         self.slack, self.touching = self._off, list(self._slips)
-        self._open = self._whole.reduced(self._c)
+        self._open = self._rows.reduced(self._coordinates)
         self.on = self.masked(range(len(ways)))
         self.bias = [(1.0 - off) * self._biased(i) for i, off in enumerate(self._off)]
         self._rubs = {i: self._rub(i, slip) for i, slip in self._slips.items()}
@@ -233,7 +221,7 @@ class SwitchedRows(UnilateralRows):
 
     def _slipping(self, v: Sequence[Any]) -> dict[int, Slip]:
         """Contacts by the rows of their normals."""
-        rates, speed = self._whole.velocities(v), largest(v) if self._mu else ZERO
+        rates, speed = self._rows.velocities(v), largest(v) if self._mu else ZERO
         found = {}
         for i in self._mu:
             name, along = self._ways[i + 1 : i + 3], rates[i + 1 : i + 3]
@@ -294,24 +282,24 @@ class SwitchedRows(UnilateralRows):
         Args:
             v: Velocity of all joints.
         """
-        pairs = zip(self._off, self._whole.velocities(v), strict=True)
+        pairs = zip(self._off, self._rows.velocities(v), strict=True)
         return [(1.0 - off) * rate for off, rate in pairs]
 
-    def heights(self, v: Sequence[Any]) -> Looks:
+    def heights(self, v: Sequence[Any]) -> tuple[list[Any], list[Any]]:
         """Heights of rows that are off, ends of slips, and rates of gaps."""
-        margins, rates = self.spans(v), self._whole.velocities(v)
+        margins, rates = self.spans(v), self._rows.velocities(v)
         for i, slip in self._slips.items():
             margins[i + 1 : i + 3] = slip.ends if self._mu[i] else (ONE, ONE)
         each = zip(self._ways, rates, self._reach, strict=True)
         found = [way * rate if reach is Reach.GAP else ZERO for way, rate, reach in each]
-        return Looks(margins, found)
+        return margins, found
 
     def spans(self, v: Sequence[Any]) -> list[Any]:
         """How far rows that are off are from where they would be on."""
-        found, rates = [], self._whole.velocities(v)
+        found, rates = [], self._rows.velocities(v)
         for i, (way, off) in enumerate(zip(self._ways, self._off, strict=True)):
             reach = self._reach[i]
-            height = self._whole.g[i] if reach is Reach.GAP else rates[i]
+            height = self._rows.g[i] if reach is Reach.GAP else rates[i]
             has_height = reach in (Reach.GAP, Reach.SLIP)
             found.append(way * height + (1.0 - off) * _ENDLESS if has_height else ca.SX(_ENDLESS))
         for i, slip in self._slips.items():
@@ -325,7 +313,7 @@ class SwitchedRows(UnilateralRows):
             kept, turns = ca.fmin(kept, slip.keeps_name), ca.fmax(turns, slip.turns)
         return kept * (1.0 + turns)
 
-    def answers(self, a: Sequence[Any], lam: Sequence[Any]) -> Looks:
+    def answers(self, a: Sequence[Any], lam: Sequence[Any]) -> tuple[list[Any], list[Any]]:
         """What multipliers are within their bounds, demands at a limit, and rates of slips.
 
         Args:
@@ -341,7 +329,7 @@ class SwitchedRows(UnilateralRows):
                 room.append(way * left[i] + (1.0 - off) * _ENDLESS)
             margins.extend(room)
             rates.append(way * left[i] if self._reach[i] is Reach.SLIP else ZERO)
-        return Looks(margins, rates)
+        return margins, rates
 
     @property
     def keys(self) -> dict[tuple[int, int], int]:
@@ -361,7 +349,7 @@ class SwitchedRows(UnilateralRows):
 
     def left(self, a: Sequence[Any]) -> list[Any]:
         """The w of all rows, by accelerations of all joints, SX scalars."""
-        each = zip(self._whole.J, self._conditions, strict=True)
+        each = zip(self._rows.J, self._conditions, strict=True)
         return [
             sum((value * plain(a[j]) for j, value in row.items()), ZERO) + more
             for row, more in each
@@ -417,10 +405,10 @@ class Slip(NamedTuple):
         """How far it is from where it ends, or is named anew; 1 where that does not count."""
         length, slow, (x, y), (a, b) = self._length, self.slowest, self.along, self.name
         along, across = (x * a + y * b) / length, (x * b - y * a) / length
-        coarse = along - ca.if_else(self._is_grown, names.SLOW * slow, 0.0)
-        straight = slow + names.STRAY * ca.fabs(along) - ca.fabs(across)
-        fast = names.FAST * names.SLOW * slow - along
-        fine = ca.if_else(length < names.STRAIGHT, fast, straight)
+        coarse = along - ca.if_else(self._is_grown, slip_directions.SLOW * slow, 0.0)
+        straight = slow + slip_directions.STRAY * ca.fabs(along) - ca.fabs(across)
+        fast = slip_directions.FAST * slip_directions.SLOW * slow - along
+        fine = ca.if_else(length < slip_directions.STRAIGHT, fast, straight)
         first, second = (
             ca.if_else(self.is_fine, along, coarse),
             ca.if_else(self.is_fine, fine, 1.0),
@@ -431,8 +419,10 @@ class Slip(NamedTuple):
     def keeps_name(self) -> Any:
         """0 where it should have another name, at the start of a step; else 1."""
         slow, (x, y), (a, b) = self.slowest, self.along, self.name
-        is_fast = ca.logic_and(self.size > 2.0 * names.SLOW * slow, ca.logic_not(self._is_grown))
-        has_turned = x * a + y * b < names.TURNED * self.size * self._length
+        is_fast = ca.logic_and(
+            self.size > 2.0 * slip_directions.SLOW * slow, ca.logic_not(self._is_grown)
+        )
+        has_turned = x * a + y * b < slip_directions.TURNED * self.size * self._length
         turns = ca.logic_and(ca.logic_or(is_fast, has_turned), self.size > slow)
         return ca.logic_not(ca.logic_and(turns, self.turns))
 
@@ -463,7 +453,7 @@ class Slip(NamedTuple):
 
     @property
     def _is_grown(self) -> Any:
-        return ca.fabs(self.name[0]) > names.COARSE
+        return ca.fabs(self.name[0]) > slip_directions.COARSE
 
     def _where(self, value: Any) -> Any:
         return ca.if_else(self.is_on, value, ONE)
@@ -480,6 +470,6 @@ def slip_of(way: Any, name: tuple[Any, Any], along: tuple[Any, Any], speed: Any)
     """
     a, b = name
     is_on = ca.logic_and(way == 0.0, ca.logic_or(a != 0.0, b != 0.0))
-    is_fine = ca.fmax(ca.fabs(a), ca.fabs(b)) > names.COARSE * names.GROWN
+    is_fine = ca.fmax(ca.fabs(a), ca.fabs(b)) > slip_directions.COARSE * slip_directions.GROWN
     size = ca.sqrt(along[0] * along[0] + along[1] * along[1])
-    return Slip(is_on, is_fine, name, along, size, names.NO_SLIP * (1.0 + speed))
+    return Slip(is_on, is_fine, name, along, size, slip_directions.NO_SLIP * (1.0 + speed))
