@@ -159,10 +159,7 @@ def command_module(name: str) -> CommandModule:
     try:
         module = points[name].load()
     except (ImportError, SyntaxError, AttributeError) as error:
-        from mbd_ros.scene.schema.renamed import renamed
-
-        hint = renamed("module", str(getattr(error, "name", "")))
-        raise CommandError(f"{where} cannot be imported: {error}{hint}") from error
+        raise CommandError(f"{where} cannot be imported: {error}") from error
     for function in ("add_arguments", "run"):
         if not callable(getattr(module, function, None)):
             raise CommandError(f"{where} has no function '{function}'")

@@ -1,19 +1,16 @@
 """Names of earlier versions: the error names the new one."""
 
-import importlib.util
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from mbd_ros.cli import main
-from mbd_ros.errors import DataError, SceneError
+from mbd_ros.errors import DataError
 from mbd_ros.files.bags.bag_reader import raw_messages
 from mbd_ros.files.table import Column, Table
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema import renamed as names
-from mbd_ros.scene.schema.code_permission import permitting
-from mbd_ros.scene.schema.renamed import RENAMED, renamed
+from mbd_ros.scene.schema.renamed import RENAMED
 
 
 @pytest.fixture
@@ -24,42 +21,6 @@ def old_name(monkeypatch):
         monkeypatch.setattr(names, "RENAMED", {**RENAMED, kind: {**RENAMED[kind], old: new}})
 
     return enter
-
-
-def test_a_part_of_an_earlier_version_is_told_where_a_module_is_now(tmp_path, monkeypatch):
-    """The rooms by subject moved modules that parts of others import."""
-    (tmp_path / "early_part.py").write_text("from mbd_ros.core.robot import Robot\n")
-    monkeypatch.syspath_prepend(tmp_path)
-    scene = tmp_path / "scene.yaml"
-    text = "robot: {urdf: 'package://mbd_ros/config/robots/pendulum.urdf'}\n"
-    scene.write_text(text + "forces: [{type: 'early_part:Push'}]\n")
-    with permitting(True), pytest.raises(SceneError) as caught:
-        load_scene(scene)
-    said = "No module named 'mbd_ros.core.robot'; mbd_ros.core.robot is called "
-    assert f"{said}mbd_ros.core.model.robot now" in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("mbd_ros.core.forward.system", "mbd_ros.core.dynamics.system"),
-        ("mbd_ros.core.forward.row_factor", "mbd_ros.core.rows.delassus"),
-    ],
-)
-def test_modules_below_a_renamed_one_are_found(old, new):
-    assert renamed("module", old) == f"; {old} is called {new} now"
-    assert renamed("module", "mbd_ros.core.forwards") == ""
-
-
-@pytest.mark.parametrize("old", RENAMED["module"])
-def test_a_new_name_is_there_and_the_old_one_is_not(old):
-    def there(name):
-        try:
-            return importlib.util.find_spec(name) is not None
-        except ModuleNotFoundError:
-            return False
-
-    assert there(RENAMED["module"][old]) and not there(old)
 
 
 def test_an_old_column_is_told_its_new_name(old_name):

@@ -187,9 +187,6 @@ def imported(module: str, attribute: str, where: str) -> Any:
     try:
         return getattr(importlib.import_module(module), attribute)
     except ModuleNotFoundError as error:
-        from mbd_ros.scene.schema.renamed import renamed  # here, since it serves errors only
-
-        hint = renamed("module", str(error.name))
-        raise SceneError(f"{where}: {error}{hint}; {module_path()}") from error
+        raise SceneError(f"{where}: {error}; {module_path()}") from error
     except (ImportError, SyntaxError, AttributeError) as error:
         raise SceneError(f"{where}: {error}") from error

@@ -6,32 +6,6 @@ from collections.abc import Iterable, Mapping, Sequence
 RENAMED: Mapping[str, Mapping[str, str]] = {  # kind -> old name -> new name
     "column": {},  # the quantity, after the last dot
     "command": {},
-    "module": {  # with all modules below it
-        "mbd_ros.core.body_loads": "mbd_ros.core.loads.loads",
-        "mbd_ros.core.couplings": "mbd_ros.core.model.couplings",
-        "mbd_ros.core.description": "mbd_ros.core.model",
-        "mbd_ros.core.differentiation": "mbd_ros.methods.signals.differentiation",
-        "mbd_ros.core.discontinuous": "mbd_ros.methods.events",
-        "mbd_ros.core.forward.bounded_rows": "mbd_ros.core.complementarity.bounded_rows",
-        "mbd_ros.core.forward.constraint_rows": "mbd_ros.core.rows.constraint_rows",
-        "mbd_ros.core.forward.row_factor": "mbd_ros.core.rows.delassus",
-        "mbd_ros.core.forward.row_order": "mbd_ros.core.rows.constraint_rows",
-        "mbd_ros.core.forward": "mbd_ros.core.dynamics",
-        "mbd_ros.core.laws": "mbd_ros.core.model.coupling_functions",
-        "mbd_ros.core.live": "mbd_ros.methods.simulation",
-        "mbd_ros.core.loops": "mbd_ros.methods.inverse_dynamics",
-        "mbd_ros.core.manifold": "mbd_ros.methods.projection",
-        "mbd_ros.core.robot": "mbd_ros.core.model.robot",
-        "mbd_ros.core.rows.row_order": "mbd_ros.core.rows.constraint_rows",
-        "mbd_ros.core.stabilizing": "mbd_ros.methods.projection.assembly",
-        "mbd_ros.core.stepping": "mbd_ros.methods.integration.stepping",
-        "mbd_ros.core.system": "mbd_ros.core.dynamics.system",
-        "mbd_ros.core.tiers": "mbd_ros.core.dynamics.tiers",
-        "mbd_ros.core.wrenches": "mbd_ros.core.loads.external_loads",
-        "mbd_ros.bags": "mbd_ros.files.bags.bag_reader",
-        "mbd_ros.recordings": "mbd_ros.motion.recordings",
-        "mbd_ros.tables": "mbd_ros.files.tables.csv",
-    },
     "option": {},
     "parameter": {},
     "topic": {},
@@ -71,8 +45,6 @@ def renamed(kind: str, name: str, existing: Iterable[str] = ()) -> str:
     for old, new in RENAMED[kind].items():
         if kind == "column" and name.endswith(f".{old}"):
             now = name.removesuffix(old) + new
-        elif kind == "module" and name.startswith(f"{old}."):
-            now = new + name.removeprefix(old)
         elif name == old:
             now = new
         else:
