@@ -150,8 +150,8 @@ def test_numbers_have_units_and_vectors_a_length(section, name):
 @pytest.mark.parametrize(("section", "name"), [pair for pair in EVERY if pair[0] in OF_A_ROBOT])
 def test_part_has_a_name_which_check_says_with_its_units(section, name):
     scene = scene_with(section, name)
-    part, (line, *_) = part_in(scene), part_lines(scene)
-    assert part.name and "." not in part.name and f" {part.name}, " in line
+    part, ((_, line), *_) = part_in(scene), part_lines(scene)
+    assert part.name and "." not in part.name and f" {part.name}, " in f" {line}"
     units = [channel.unit for channel in part.inputs]
     units += [row.unit for row in getattr(part, "rows", ())]
     assert all(units) and (units or section in ("forces", "contacts", "sensors"))

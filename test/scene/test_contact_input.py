@@ -68,7 +68,7 @@ def test_names_of_contacts_are_those_of_what_moves():
 
 def test_check_says_which_contacts_can_be_event_driven_and_why_others_can_not():
     scene = contacts(rigid("box", "ground"), rigid("drum", "ground"))
-    smooth, rough = (line for line in part_lines(scene) if line.startswith("contact"))
+    smooth, rough = (text for label, text in part_lines(scene) if label == "contact")
     assert "box_contact, Rigid between box and world, 8 features: vertex_0, vertex_1" in smooth
     assert "smooth, for event-driven integrators and moreau_jean" in smooth
     assert "for moreau_jean, not event-driven: the lowest point of the rim of a cyl" in rough

@@ -24,7 +24,12 @@ from mbd_ros.methods.integration.linear_motion import (
 from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.integration.stiffness_window import longest, pressed_motion
 from mbd_ros.methods.simulation.simulation import Simulation
-from mbd_ros.scene.describe.check import depth_doubts, window_doubts, window_text, windows_at
+from mbd_ros.scene.describe.stiffness_windows import (
+    depth_doubts,
+    window_doubts,
+    window_text,
+    windows_at,
+)
 
 _LOOKS = 8  # states whose fastest rate is found, and the last one
 _FOLD_LOOKS = 2_000  # states whose rows are factorised

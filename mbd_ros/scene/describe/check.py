@@ -1,39 +1,33 @@
-"""The parts that a scene builds and leaves out, and the cost of a call."""
+"""The lines of `mbd-ros check`: what a scene builds and leaves out, doubts, and costs."""
 
 import math
 import sys
-import timeit
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import partial
+from collections.abc import Iterator, Mapping
 from itertools import repeat
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from mbd_ros.core.contracts import Part
 from mbd_ros.core.dynamics.mass import check_mass
-from mbd_ros.core.dynamics.system import System, evaluation_at, inward
+from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.tiers import tier_of
-from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.loads.internal_states import Internals
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import RowLayout
 from mbd_ros.core.rows.delassus import RowFactor
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TOGGLE
-from mbd_ros.errors import DivergedError, SolveError
-from mbd_ros.methods.integration.linear_motion import linear_motion, longest_step
-from mbd_ros.methods.integration.stepping import BlockStepper, Integrator
-from mbd_ros.methods.integration.stiffness_window import GAIN, Window, touching_motion, windows
+from mbd_ros.errors import SolveError
+from mbd_ros.methods.integration.stepping import BlockStepper
 from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.methods.projection.assembly import assemble
-from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.describe.costs import forward_cost, inverse_cost, step_costs
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
+from mbd_ros.scene.describe.stiffness_windows import Line, step_lines
 from mbd_ros.scene.reading.coupling_entries import coupling_kinds
 from mbd_ros.scene.runs.simulation import (
-    DEFAULT_STABLE,
     Tell,
     build_simulation,
     default_integrator,
@@ -41,203 +35,7 @@ from mbd_ros.scene.runs.simulation import (
 )
 from mbd_ros.scene.schema.sections import parts_in
 
-# ---- part lines -------------------------------------------------------------------------------
-# Lines of `mbd-ros check` about robots, bodies and parts, these by texts of their sections.
-
-
-def member_lines(scene: Scene) -> Iterator[str]:
-    """The robots and the other bodies."""
-    robot, bodies = scene.robot, scene.parts.get("bodies", {})
-    if len(robot.recipes) == 1 and not robot.recipes[0].name:
-        yield line("robot", f"{robot.name} from {scene.source}, {robot.base_text}")
-        return
-    for recipe in robot.recipes:
-        if recipe.name in bodies:
-            how = "free" if recipe.base == "floating" else "placed"
-            yield line("body", f"{recipe.name} from {recipe.source}, {how}")
-        else:
-            name = f"{recipe.name} from " if recipe.name else ""
-            yield line("robot", f"{name}{recipe.source}, {recipe.base} base")
-
-
-def part_lines(scene: Scene) -> Iterator[str]:
-    """A line for every part whose section has a text: loads, then rows; then their states."""
-    for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
-        if section.check and section.key in scene.parts:
-            label, _, text = section.check.partition(":")
-            built = scene.parts[section.key]
-            keys = built if isinstance(built, Mapping) else repeat("")
-            for key, part in zip(keys, parts_in(section, built), strict=False):
-                words = {"name": key, **_words(part)}
-                yield line(label, text.strip().format(part=part, **words))
-    yield from _state_lines(scene.internals, scene.initial.z)
-
-
-def unused_rubbing(scene: Scene) -> Iterator[str]:
-    """Friction and damping of the description that no part of the scene brings in."""
-    covered: set[tuple[str, str]] = set()
-    for part in (*scene.forces, *scene.constraints):
-        joint = getattr(getattr(part, "joint", None), "name", None)
-        covered.update((key, joint) for key in getattr(part, "brings", ()) if joint)
-    for key in ("friction", "damping"):
-        names = [n for n, rub in scene.robot.rubbing.items() if getattr(rub, key)]
-        lacking = [name for name in names if (key, name) not in covered]
-        if lacking:
-            yield f"URDF <dynamics> {key} of {', '.join(lacking)}"
-
-
-def _state_lines(internals: Internals, z: Array) -> Iterator[str]:
-    """A line for every internal state.
-
-    Args:
-        internals: Of the scene.
-        z: First values, NaN for those that the parts choose.
-    """
-    for i, first in enumerate(internals.completed(z).tolist()):
-        bounds = (internals.lower[i], internals.upper[i])
-        unit = f" [{internals.units[i]}]" if internals.units[i] else ""
-        text = "starts at equilibrium" if math.isnan(first) else f"starts at {first:g}"
-        inside = f", in {bounds[0]:g} .. {bounds[1]:g}" if np.isfinite(bounds).any() else ""
-        yield line("state", f"{internals.names[i]}{unit}, {text}{inside}")
-
-
-def _words(part: Any) -> dict[str, str]:
-    """Words for a part that texts of sections may use."""
-    where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
-    names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
-    words = {"kind": type_name(part), "at": f" at {names}" if names else ""}
-    words |= {"rows": "", "law": "", "contact": ""}
-    if hasattr(part, "pair") and hasattr(part, "features"):
-        words["contact"] = contact_words(part)
-    if isinstance(part, Part):
-        words["name"] = part.name
-    if hasattr(part, "rows"):
-        words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
-        words["law"] = part.law.kind.value
-    return words
-
-
-def line(label: str, text: str) -> str:
-    """A line of `check`."""
-    return f"{label:<12}{text}"
-
-
-def type_name(part: object) -> str:
-    """Name of the class of a part."""
-    return type(part).__name__
-
-
-# ---- check ------------------------------------------------------------------------------------
-# The parts that a scene builds and leaves out, and the cost of a call.
-
-
-# What a call of the equations of a scene costs, measured.
-
-_CALLS, _REPEATS = 2000, 5
-MEASURED = 0.02  # s for which a call is timed, a few times over
-
-
-def inverse_cost(scene: Scene, x: State) -> str:
-    """Time of a call of inverse dynamics; empty where a motion does not show what it takes.
-
-    Args:
-        scene: The scene.
-        x: Consistent state of all joints.
-    """
-    if scene.unmeasured:
-        return ""
-    return _loop_cost(scene, x) if scene.has_loops else _cost(scene)
-
-
-def _cost(scene: Scene) -> str:
-    robot, model = scene.robot, scene.robot.model
-    q, v = pin.neutral(model), np.zeros(model.nv)
-    bare = _best(partial(pin.rnea, model, pin.Data(model), q, v, v))
-    inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
-    z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
-    ours = _best(lambda: inverse.solve(z, w, w, loads))
-    ratio = f"{ours / bare:.1f} x a bare rnea of {len(robot.joints)} joints"
-    return f"one inverse-dynamics call {ours * 1e6:.1f} us, {ratio}"
-
-
-def _loop_cost(scene: Scene, x: State) -> str:
-    drives = [section.key for section in scene.sections if "command" in section.offers]
-    every = scene.without(drives).closed_loop()  # so that no fixed base is out of reach
-    x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
-    call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
-    return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"
-
-
-def forward_cost(scene: Scene, system: System, x: State) -> str:
-    """Time of a call of forward dynamics.
-
-    Args:
-        scene: The scene.
-        system: Its system.
-        x: Consistent start of what it integrates.
-    """
-    model, given = system.model, scene.initial
-    bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
-    y = x  # else in its mode
-    if system.exact is not None:
-        simulation = build_simulation(scene, solver={"type": "plain"})
-        y = inward(simulation.system, simulation.start(given))
-    ours = _best(evaluation_at(system, y))
-    return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
-
-
-def _best(call: object) -> float:
-    """Shortest time of a call [s], by as many calls as there is time for."""
-    timer = timeit.Timer(call)  # type: ignore[arg-type]
-    first = timer.timeit(1)
-    if first >= MEASURED:
-        return first
-    calls = int(min(max(MEASURED / first, 1), _CALLS))
-    return min(timer.repeat(_REPEATS, calls)) / calls
-
-
-# Lines of `mbd-ros check` about the step: rates that are too fast, contacts too stiff for it.
-
-
-def step_lines(scene: Scene, system: System, x: State) -> Iterator[str]:
-    """Windows of contacts that give way, and warnings of a step that is too long.
-
-    Args:
-        scene: The scene.
-        system: Its system.
-        x: Consistent start of what it integrates.
-    """
-    yield from _windows(scene, system, x)
-    motion, method = linear_motion(system, x), scene.integrator
-    name = default_integrator(scene)["type"]
-    if method is not None:
-        name = type_name(method)
-    elif motion.rate * scene.dt > DEFAULT_STABLE:
-        method = integrator_of(scene)
-    longest = math.inf if method is None else longest_step(method, motion, scene.dt)
-    if not math.isfinite(motion.rate):
-        yield line("warning", f"stiff: forces change too steeply for any step of {name}")
-    elif longest < math.inf:
-        limit = f"steps of {name} need dt < {longest:.2g} s, gauss_legendre does not"
-        stiff = f"stiff: fastest rate {motion.rate:.3g} 1/s at dt {scene.dt:g} s"
-        yield line("warning", f"{stiff}; {limit}")
-
-
-def _windows(scene: Scene, system: System, x: State) -> Iterator[str]:
-    parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
-    if not parts:
-        return
-
-    method = integrator_of(scene)
-    start = system.expand(x)
-    found = windows_at(system, parts, method, scene.dt, start)
-    for window in found:
-        yield line("window", window_text(window, method, scene.dt))
-    for window in found:
-        yield from (line("warning", text) for text in window_doubts(window, method, scene.dt))
-    yield from (line("warning", text) for text in depth_doubts(system, parts, [start]))
-
-
+SMOOTHED_ORDER = 2  # across a kink of the accelerations, of any method
 _PLAIN = {"type": "plain"}
 _TIERS = {
     "aba": "open chain, articulated-body algorithm",
@@ -258,15 +56,21 @@ def describe(scene: Scene, tell: Tell | None = None) -> Iterator[str]:
         One line each, label then text.
     """
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        yield from _lines(scene, tell)
+        for label, text in _lines(scene, tell):
+            yield line(label, text)
 
 
-def _lines(scene: Scene, tell: Tell | None) -> Iterator[str]:
+def line(label: str, text: str) -> str:
+    """A line of `check`."""
+    return f"{label:<12}{text}"
+
+
+def _lines(scene: Scene, tell: Tell | None) -> Iterator[Line]:
     robot, couplings = scene.robot, scene.couplings
     gravity = np.array2string(robot.model.gravity.linear, separator=", ")
-    yield line("scene", scene.name)
+    yield "scene", scene.name
     yield from member_lines(scene)
-    yield line("gravity", f"{gravity} m/s^2, included in every torque")
+    yield "gravity", f"{gravity} m/s^2, included in every torque"
     system = scene.system()
     if scene.phases:
         from mbd_ros.scene.phased_systems import build_phased_system
@@ -278,73 +82,54 @@ def _lines(scene: Scene, tell: Tell | None) -> Iterator[str]:
     if scene.integrator is not None:  # the default one takes every scene
         build_simulation(scene, solver=_PLAIN if scene.solver.compiles else None)
     freedom = system.nv - (0 if factor is None else factor.rank)
-    yield line("joints", f"{len(robot.joints)}, degrees of freedom {freedom}")
-    yield line("independent", ", ".join(couplings.independent) or "none")
+    yield "joints", f"{len(robot.joints)}, degrees of freedom {freedom}"
+    yield "independent", ", ".join(couplings.independent) or "none"
     dependent = "; ".join(f"{name} <- {kind}" for name, kind in coupling_kinds(scene).items())
-    yield line("dependent", dependent or "none")
+    yield "dependent", dependent or "none"
     if robot.locked:
         locked = ", ".join(f"{name} at {value:g}" for name, value in robot.locked.items())
-        yield line("locked", locked)
+        yield "locked", locked
     yield from part_lines(scene)
-    yield from _row_lines(scene, system)
+    if system.layout.yielding:
+        yield from row_lines(scene, system.layout)
     for key, name in scene.code.items():
         file = sys.modules[name.partition(":")[0]].__file__
-        yield line("code", f"{key}: {name} from {file}")
-    yield line("inverse", _inverse(scene))
-    if scene.has_loops and not scene.unmeasured:
+        yield "code", f"{key}: {name} from {file}"
+    unmeasured = ", ".join(scene.unmeasured)
+    if unmeasured:
+        text = f"from columns of the forces of {unmeasured} alone, which has internal states"
+        yield "inverse", text
+    else:
+        yield "inverse", tier(scene)
+    if scene.has_loops and not unmeasured:
         yield from _reach(scene, system.expand(start))
-    yield line("forward", f"refused: {fault}" if fault else _forward(scene, system))
+    yield "forward", f"refused: {fault}" if fault else _forward(scene, system)
     if scene.solver.compiles:
         yield from compiled_lines(scene, not fault, tell)
-    yield from (line("warning", text) for text in robot.doubts)
+    yield from (("warning", text) for text in robot.doubts)
     yield from _warnings(scene, system, start, factor)
     if not fault:
         yield from step_lines(scene, system, start)
     left_out = (*scene.absent, *unused_rubbing(scene), *robot.ignored)
-    yield line("left out", "; ".join(left_out) or "nothing")
+    yield "left out", "; ".join(left_out) or "nothing"
     inverse = inverse_cost(scene, system.expand(start))
     forward = "" if fault else forward_cost(scene, system, start)
-    yield line("cost", "; ".join(filter(None, (inverse, forward))))
+    yield "cost", "; ".join(filter(None, (inverse, forward)))
 
 
-def _row_lines(scene: Scene, system: System) -> Iterator[str]:
-    if system.layout.yielding:
-        yield from row_lines(scene, system.layout)
-
-
-def _forward(scene: Scene, system: System) -> str:
-    """The tier, the method and the step."""
-    rows = f", {len(system.held.rows)} rows" if system.held.rows else ""
-    method = "integrator" if scene.integrator is None else type(scene.integrator).__name__
-    default = (
-        f" {default_integrator(scene)['type']} by default" if scene.integrator is None else ""
-    )
-    text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}{default}, dt {scene.dt:g} s"
-    if system.held.rows:
-        kept = scene.stabilization
-        text += f"; stabilization {'projection by default' if kept is None else type_name(kept)}"
-    return text
-
-
-def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) -> Iterator[str]:
-    for text in start_warnings(scene.robot, scene.constraints, scene.initial):
-        yield line("warning", text)
-    for text in fiber_warnings(scene.robot, scene.muscles, scene.initial, scene.inputs.safe):
-        yield line("warning", text)
-    floor = getattr(scene.stabilization, "floor", None)
-    if (
-        system.held.rows
-        and floor is not None
-        and floor(scene.dt) > scene.stabilization.time_constant
-    ):
-        used = f"time constant {scene.stabilization.time_constant:g} s raised to 2 dt"
-        yield line("warning", f"Baumgarte: {used} = {floor(scene.dt):g} s")
-    if factor is not None:
-        yield from _rank_lines(factor)
-    driven = [scene.robot.joint(name) for part in scene.actuators for name in part.joints]
-    without = [joint.name for joint in driven if joint.max_effort == 0.0]
-    if without:
-        yield line("warning", f"no authority: effort limit 0 of {', '.join(without)}")
+def member_lines(scene: Scene) -> Iterator[Line]:
+    """The robots and the other bodies."""
+    robot, bodies = scene.robot, scene.parts.get("bodies", {})
+    if len(robot.recipes) == 1 and not robot.recipes[0].name:
+        yield "robot", f"{robot.name} from {scene.source}, {robot.base_text}"
+        return
+    for recipe in robot.recipes:
+        if recipe.name in bodies:
+            how = "free" if recipe.base == "floating" else "placed"
+            yield "body", f"{recipe.name} from {recipe.source}, {how}"
+        else:
+            name = f"{recipe.name} from " if recipe.name else ""
+            yield "robot", f"{name}{recipe.source}, {recipe.base} base"
 
 
 def _mass_fault(scene: Scene, system: System) -> str:
@@ -395,91 +180,33 @@ def _settled(system: System, y: State) -> State:
     return settled(system, y, None)
 
 
-def _rank_lines(factor: RowFactor) -> Iterator[str]:
-    """How many of the rows are independent, and how well conditioned they are."""
-    rows = len(factor.A)
-    if factor.rank < rows:
-        text = f"rank {factor.rank} of {rows} rows: redundant, multipliers of smallest norm"
-        yield line("rank", text)
-        return
-    yield line("rank", f"{rows} of {rows} rows, condition number {factor.condition:.2g}")
-    if factor.condition > TOGGLE:
-        yield line("warning", "near a toggle position: multipliers are unreliable here")
+def part_lines(scene: Scene) -> Iterator[Line]:
+    """A line for every part whose section has a text: loads, then rows; then their states."""
+    for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
+        if section.check and section.key in scene.parts:
+            label, _, text = section.check.partition(":")
+            built = scene.parts[section.key]
+            keys = built if isinstance(built, Mapping) else repeat("")
+            for key, part in zip(keys, parts_in(section, built), strict=False):
+                words = {"name": key, **_words(part)}
+                yield (label, text.strip().format(part=part, **words))
+    yield from _state_lines(scene.internals, scene.initial.z)
 
 
-def tier(scene: Scene) -> str:
-    """How inverse dynamics is solved."""
-    if scene.has_loops:
-        return "loops: efforts and multipliers by rank, of smallest norm where undetermined"
-    if not scene.couplings.dependent:
-        return "rnea: no dependent joint, one call"
-    return "reduced: dependent joints eliminated exactly, q = F(z)"
-
-
-def _reach(scene: Scene, x: State) -> Iterator[str]:
-    """The reach of the actuators at the assembled start, for inverse dynamics."""
-    reach = scene.closed_loop().reach(x)
-    names = listed(scene.actuated) or "none"
-    reason = "" if scene.actuators else "; no actuators section: every independent joint"
-    yield line("actuated", f"{names}{reason}; {reach.driven} of {reach.freedom} motions driven")
-    if reach.null_space:
-        text = f"dimension {reach.null_space}: {listed(reach.undetermined)}"
-        yield line("null space", f"{text} are not determined by a motion")
-    if reach.undriven:
-        joints = ", ".join(reach.undriven)
-        text = f"nothing drives {joints}: inverse takes motions that need nothing there"
-        yield line("warning", text)
-
-
-def _inverse(scene: Scene) -> str:
-    parts = ", ".join(scene.unmeasured)
-    if parts:
-        return f"from columns of the forces of {parts} alone, which has internal states"
-    return tier(scene)
-
-
-# ---- row lines --------------------------------------------------------------------------------
-# Lines of `mbd-ros check` about rows that give way: exact or smoothed, and what that costs.
-
-
-SMOOTHED_ORDER = 2  # across a kink of the accelerations, of any method
-
-
-def row_lines(scene: Scene, layout: RowLayout) -> Iterator[str]:
-    """A line for exact rows and one for smoothed ones, where there are any.
-
-    Methods at the velocity level solve for both alike.
-
-    Source: E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 1993,
-    II.6, on the order of steps across discontinuities.
-
-    Args:
-        scene: The scene.
-        layout: Its rows, some of which give way.
-    """
-    method = integrator_of(scene)
-    name, order = type_name(method), method.order
-    if method.at_velocity_level:
-        names = listed([block.part.name for block in layout.yielding])
-        yield line("stepped", f"{names}; solved for once a step of {name}, impacts included")
-        return
-    exact, smoothed = (
-        [block.part.name for block in layout.yielding if block.smoothed is is_smoothed]
-        for is_smoothed in (False, True)
-    )
-    if exact:
-        text = "steps end where rows begin and cease to act"
-        yield line("exact", f"{listed(exact)}; {text}, {name} keeps its order {order}")
-    if smoothed:
-        where = "in steps in which a row begins or ceases to act"
-        cost = f"{name} has order {SMOOTHED_ORDER} in place of {order} {where}"
-        if order <= SMOOTHED_ORDER:
-            cost = f"{name} has order {order} all the same"
-        yield line("smoothed", f"{listed(smoothed)}; solved for in every evaluation, {cost}")
-
-
-# ---- contact lines ----------------------------------------------------------------------------
-# What `mbd-ros check` says of a contact: its bodies, its features, and who can integrate it.
+def _words(part: Any) -> dict[str, str]:
+    """Words for a part that texts of sections may use."""
+    where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
+    names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
+    words = {"kind": type(part).__name__, "at": f" at {names}" if names else ""}
+    words |= {"rows": "", "law": "", "contact": ""}
+    if hasattr(part, "pair") and hasattr(part, "features"):
+        words["contact"] = contact_words(part)
+    if isinstance(part, Part):
+        words["name"] = part.name
+    if hasattr(part, "rows"):
+        words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
+        words["law"] = part.law.kind.value
+    return words
 
 
 def contact_words(part: Any) -> str:
@@ -499,14 +226,93 @@ def contact_words(part: Any) -> str:
     return f"{text}; for moreau_jean, not event-driven: {part.pair.why_not}"
 
 
-# ---- compiled lines ---------------------------------------------------------------------------
-# Compiled steps in `mbd-ros check`: operations, times, or what keeps them plain.
+def _state_lines(internals: Internals, z: Array) -> Iterator[Line]:
+    """A line for every internal state.
+
+    Args:
+        internals: Of the scene.
+        z: First values, NaN for those that the parts choose.
+    """
+    for i, first in enumerate(internals.completed(z).tolist()):
+        bounds = (internals.lower[i], internals.upper[i])
+        unit = f" [{internals.units[i]}]" if internals.units[i] else ""
+        text = "starts at equilibrium" if math.isnan(first) else f"starts at {first:g}"
+        inside = f", in {bounds[0]:g} .. {bounds[1]:g}" if np.isfinite(bounds).any() else ""
+        yield "state", f"{internals.names[i]}{unit}, {text}{inside}"
 
 
-_STEPS, _COMPILED_LINES_REPEATS = 1000, 5
+def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
+    """A line for exact rows and one for smoothed ones, where there are any.
+
+    Methods at the velocity level solve for both alike.
+
+    Source: E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 1993,
+    II.6, on the order of steps across discontinuities.
+
+    Args:
+        scene: The scene.
+        layout: Its rows, some of which give way.
+    """
+    method = integrator_of(scene)
+    name, order = type(method).__name__, method.order
+    if method.at_velocity_level:
+        names = listed([block.part.name for block in layout.yielding])
+        yield "stepped", f"{names}; solved for once a step of {name}, impacts included"
+        return
+    exact, smoothed = (
+        [block.part.name for block in layout.yielding if block.smoothed is is_smoothed]
+        for is_smoothed in (False, True)
+    )
+    if exact:
+        text = "steps end where rows begin and cease to act"
+        yield "exact", f"{listed(exact)}; {text}, {name} keeps its order {order}"
+    if smoothed:
+        where = "in steps in which a row begins or ceases to act"
+        cost = f"{name} has order {SMOOTHED_ORDER} in place of {order} {where}"
+        if order <= SMOOTHED_ORDER:
+            cost = f"{name} has order {order} all the same"
+        yield "smoothed", f"{listed(smoothed)}; solved for in every evaluation, {cost}"
 
 
-def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> Iterator[str]:
+def tier(scene: Scene) -> str:
+    """How inverse dynamics is solved."""
+    if scene.has_loops:
+        return "loops: efforts and multipliers by rank, of smallest norm where undetermined"
+    if not scene.couplings.dependent:
+        return "rnea: no dependent joint, one call"
+    return "reduced: dependent joints eliminated exactly, q = F(z)"
+
+
+def _reach(scene: Scene, x: State) -> Iterator[Line]:
+    """The reach of the actuators at the assembled start, for inverse dynamics."""
+    reach = scene.closed_loop().reach(x)
+    names = listed(scene.actuated) or "none"
+    reason = "" if scene.actuators else "; no actuators section: every independent joint"
+    yield "actuated", f"{names}{reason}; {reach.driven} of {reach.freedom} motions driven"
+    if reach.null_space:
+        text = f"dimension {reach.null_space}: {listed(reach.undetermined)}"
+        yield "null space", f"{text} are not determined by a motion"
+    if reach.undriven:
+        joints = ", ".join(reach.undriven)
+        text = f"nothing drives {joints}: inverse takes motions that need nothing there"
+        yield "warning", text
+
+
+def _forward(scene: Scene, system: System) -> str:
+    """The tier, the method and the step."""
+    rows = f", {len(system.held.rows)} rows" if system.held.rows else ""
+    method = f"integrator {default_integrator(scene)['type']} by default"
+    if scene.integrator is not None:
+        method = type(scene.integrator).__name__
+    text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}, dt {scene.dt:g} s"
+    if system.held.rows:
+        correction = scene.stabilization
+        title = "projection by default" if correction is None else type(correction).__name__
+        text += f"; stabilization {title}"
+    return text
+
+
+def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> Iterator[Line]:
     """What was compiled for a scene that asks for it, and what a step costs.
 
     Args:
@@ -521,142 +327,51 @@ def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> I
     is_compiled = isinstance(simulation.stepper, BlockStepper)
     text = simulation.how.partition(": ")[2]
     if is_compiled and has_start:
-        text += _costs(scene, simulation)
-    yield line("compiled", text if is_compiled else f"not: {text}")
+        text += step_costs(scene, simulation)
+    yield "compiled", text if is_compiled else f"not: {text}"
 
 
-def _costs(scene: Scene, simulation: Simulation) -> str:
-    """Times of a step, empty where the first one fails."""
-    plain = build_simulation(scene, solver={"type": "plain"})
-    try:
-        ours, theirs = _step_time(simulation, scene), _step_time(plain, scene)
-    except (DivergedError, SolveError):
-        return ""
-    if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.plain_steps:
-        return "; plain steps at the start, where rows are near dependence"
-    name = plain.integrator.title
-    return f"; one step of {name} {ours * 1e6:.2g} us, plain {theirs * 1e6:.3g} us"
+def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) -> Iterator[Line]:
+    for text in start_warnings(scene.robot, scene.constraints, scene.initial):
+        yield "warning", text
+    for text in fiber_warnings(scene.robot, scene.muscles, scene.initial, scene.inputs.safe):
+        yield "warning", text
+    floor = getattr(scene.stabilization, "floor", None)
+    if (
+        system.held.rows
+        and floor is not None
+        and floor(scene.dt) > scene.stabilization.time_constant
+    ):
+        used = f"time constant {scene.stabilization.time_constant:g} s raised to 2 dt"
+        yield "warning", f"Baumgarte: {used} = {floor(scene.dt):g} s"
+    if factor is not None:
+        yield from _rank_lines(factor)
+    driven = [scene.robot.joint(name) for part in scene.actuators for name in part.joints]
+    without = [joint.name for joint in driven if joint.max_effort == 0.0]
+    if without:
+        yield "warning", f"no authority: effort limit 0 of {', '.join(without)}"
 
 
-def _step_time(simulation: Simulation, scene: Scene) -> float:
-    """Shortest time of a step from the start on, with its corrections [s]."""
-    y = simulation.start(scene.initial)
-    u, stepper = simulation.system.loads.sources.held(y.t), simulation.stepper
-    if isinstance(stepper, BlockStepper):
-        return _shortest(lambda: stepper.stride(y, u, math.inf, _STEPS)[1])
-    return _shortest(lambda: _advanced(simulation, y, u))
+def _rank_lines(factor: RowFactor) -> Iterator[Line]:
+    """How many of the rows are independent, and how well conditioned they are."""
+    rows = len(factor.A)
+    if factor.rank < rows:
+        text = f"rank {factor.rank} of {rows} rows: redundant, multipliers of smallest norm"
+        yield "rank", text
+        return
+    yield "rank", f"{rows} of {rows} rows, condition number {factor.condition:.2g}"
+    if factor.condition > TOGGLE:
+        yield "warning", "near a toggle position: multipliers are unreliable here"
 
 
-def _advanced(simulation: Simulation, y: State, u: Array | None) -> int:
-    """Number of steps to the next sample."""
-    before = simulation.steps
-    simulation.advance(y, u, y.t + simulation.dt)
-    return simulation.steps - before
-
-
-def _shortest(steps: Callable[[], int]) -> float:
-    """Time of one of the steps that a function takes and counts [s]."""
-    times = []
-    for _ in range(_COMPILED_LINES_REPEATS):
-        begin = timeit.default_timer()
-        count = steps()
-        times.append((timeit.default_timer() - begin) / max(count, 1))
-    return min(times)
-
-
-# ---- window lines -----------------------------------------------------------------------------
-# The window of the stiffness of compliant contacts, in words.
-
-
-_SLACK = 1.0e-9  # relative
-
-
-def windows_at(
-    system: System, parts: Sequence[Any], method: Integrator, dt: float, x: State
-) -> list[Window]:
-    """The windows of contacts at a state, as if each touched with its nearest features.
-
-    Args:
-        system: The system.
-        parts: Contacts that give way.
-        method: The integrator.
-        dt: Its step [s].
-        x: State of all joints.
-    """
-    return windows(touching_motion(system, parts, x), method, dt)
-
-
-def window_text(window: Window, method: Integrator, dt: float) -> str:
-    """Both ends of a window, and what they are made for."""
-    part, name = window.part, type(method).__name__
-    unit = _unit(part)
-    many = f" on one of {window.features} features" if window.features > 1 else ""
-    pressed = f"{window.load:.3g} N at most{many}"
-    deep = f", {part.max_penetration:.3g} m deep" if part.max_penetration else ""
-    if method.stable == math.inf:
-        upper = f"to any, which steps of {name} adapt to"
-    elif not method.is_explicit:
-        upper = f"to any, which {name} follows"
-    elif window.upper == math.inf:
-        upper = f"to any ({name} at dt {dt:g} s)"
-    else:
-        upper = f"to {window.upper:.4g} ({name} at dt {dt:g} s)"
-    if not math.isnan(window.impacts):
-        upper += f", for impacts to {window.impacts:.3g} (rebounds at most {GAIN:.0%} faster)"
-    stiffness = f"stiffness {part.normal.stiffness:.4g} {unit}"
-    return f"{part.name}: {stiffness}, from {window.lower:.4g} ({pressed}{deep}) {upper}"
-
-
-def window_doubts(window: Window, method: Integrator, dt: float) -> Iterator[str]:
-    """Warnings of a stiffness outside its window, with the step that opens it."""
-    part, name = window.part, type(method).__name__
-    k, unit = part.normal.stiffness, _unit(part)
-    here = f"{part.name}: stiffness {k:.4g} {unit}"
-    ends = f"{window.lower:.4g} .. {window.upper:.4g} {unit} at dt {dt:g} s"
-    if window.upper == 0.0:
-        yield (
-            f"{part.name}: no stiffness is within its window at dt {dt:g} s: its dampers and its "
-            f"friction alone need steps of {name} with dt < {window.longest:.3g} s"
-        )
-    elif k > window.upper * (1.0 + _SLACK):
-        yield (
-            f"{here} is above its window, {ends}: steps of {name} need dt < {window.longest:.3g} s"
-        )
-    if k < window.lower * (1.0 - _SLACK):
-        yield (
-            f"{here} is below its window, {ends}: {window.load:.3g} N press a feature "
-            f"{part.normal.depth(window.load):.3g} m deep, max_penetration is "
-            f"{part.max_penetration:.3g} m"
-        )
-    if 0.0 < window.upper < window.lower:
-        yield (
-            f"{part.name}: its window is empty at dt {dt:g} s; steps of {name} with dt < "
-            f"{window.opening:.3g} s open it"
-        )
-
-
-def depth_doubts(system: System, parts: Sequence[Any], states: Sequence[State]) -> Iterator[str]:
-    """Warnings of contacts that go deeper than they may, where they are deepest.
-
-    Args:
-        system: The system.
-        parts: Contacts that give way.
-        states: States of all joints.
-    """
-    k, deepest = system.k, {part: (0.0, 0.0) for part in parts if part.max_penetration}
-    for x in states:
-        k.refresh(x.q, x.v, Reads.POSITION)
-        for part, most in deepest.items():
-            deepest[part] = max(most, (-float(part.pair.gaps(k).min()), x.t))
-    for part, (depth, t) in deepest.items():
-        if depth > part.max_penetration:
-            needed = part.normal.least(part.normal.force(depth, 0.0), part.max_penetration)
-            yield (
-                f"{part.name}: {depth:.3g} m deep at t = {t:.6g} s, max_penetration is "
-                f"{part.max_penetration:.3g} m: its force there takes a stiffness of {needed:.3g}"
-            )
-
-
-def _unit(part: Any) -> str:
-    power = getattr(part.normal, "exponent", 1.0)
-    return "N/m" if power == 1.0 else f"N/m^{power:g}"
+def unused_rubbing(scene: Scene) -> Iterator[str]:
+    """Friction and damping of the description that no part of the scene brings in."""
+    covered: set[tuple[str, str]] = set()
+    for part in (*scene.forces, *scene.constraints):
+        joint = getattr(getattr(part, "joint", None), "name", None)
+        covered.update((key, joint) for key in getattr(part, "brings", ()) if joint)
+    for key in ("friction", "damping"):
+        names = [n for n, rub in scene.robot.rubbing.items() if getattr(rub, key)]
+        lacking = [name for name in names if (key, name) not in covered]
+        if lacking:
+            yield f"URDF <dynamics> {key} of {', '.join(lacking)}"

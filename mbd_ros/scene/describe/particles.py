@@ -12,6 +12,7 @@ from mbd_ros.methods.particles.particle_system import ParticleSystem
 from mbd_ros.methods.particles.settle import SettledCluster
 from mbd_ros.methods.particles.units import Units
 from mbd_ros.scene.describe.check import line
+from mbd_ros.scene.describe.stiffness_windows import Line
 from mbd_ros.scene.particles.particle_scene import ParticleScene
 
 _STEPS = 20
@@ -25,37 +26,38 @@ def describe(scene: ParticleScene) -> Iterator[str]:
         MbdError: The scene has no start from which it can move.
     """
     with np.errstate(all="ignore"):  # what is not finite is said
-        yield from _lines(scene)
+        for label, text in _lines(scene):
+            yield line(label, text)
 
 
-def _lines(scene: ParticleScene) -> Iterator[str]:
+def _lines(scene: ParticleScene) -> Iterator[Line]:
     system, units = scene.system(), scene.units
-    yield line("scene", scene.name)
-    yield line("units", f"{units.name}: {units.length}, {units.time}, energy {units.energy}")
+    yield "scene", scene.name
+    yield "units", f"{units.name}: {units.length}, {units.time}, energy {units.energy}"
     for kind in system.kinds:
-        yield line("molecules", _kind_text(kind))
+        yield "molecules", _kind_text(kind)
     box = scene.particles.box
     if box is not None:
-        yield line("box", f"periodic, {' x '.join(f'{edge:g}' for edge in box)} {units.length}")
+        yield "box", f"periodic, {' x '.join(f'{edge:g}' for edge in box)} {units.length}"
     if isinstance(system.pairs, Pairs):
-        yield line("pairs", _pair_text(system.pairs, units))
+        yield "pairs", _pair_text(system.pairs, units)
     rank = sum(cluster.rank * kind.count for kind in system.kinds for cluster in kind.clusters)
-    yield line("particles", f"{len(system.masses)}, degrees of freedom {system.nv - rank}")
+    yield "particles", f"{len(system.masses)}, degrees of freedom {system.nv - rank}"
     for kind in system.kinds:
         for cluster in kind.clusters:
             if cluster.rank < len(cluster.rows):
                 text = f"{cluster.rank} of {len(cluster.rows)} rows of {kind.name}: redundant"
-                yield line("rank", f"{text}, multipliers of smallest norm")
+                yield "rank", f"{text}, multipliers of smallest norm"
     yield from _start_lines(scene, system)
     yield from _stiff_lines(scene, system)
     steps = scene.method.title
     if system.steps is not None:
         steps += ", native"
-    yield line("forward", f"{steps}, dt {scene.dt:g} {units.time}; {_solvers(system)}")
-    yield line("cost", f"step {_cost(scene) * 1e6:.3g} us")
+    yield "forward", f"{steps}, dt {scene.dt:g} {units.time}; {_solvers(system)}"
+    yield "cost", f"step {_cost(scene) * 1e6:.3g} us"
 
 
-def _stiff_lines(scene: ParticleScene, system: ParticleSystem) -> Iterator[str]:
+def _stiff_lines(scene: ParticleScene, system: ParticleSystem) -> Iterator[Line]:
     """A warning where an elastic bond vibrates too fast for the step."""
     for kind in system.kinds:
         for bond in kind.terms:
@@ -65,7 +67,7 @@ def _stiff_lines(scene: ParticleScene, system: ParticleSystem) -> Iterator[str]:
                 if scene.dt >= longest:
                     ends = f"{kind.atoms[bond.i]} and {kind.atoms[bond.j]} of {kind.name}"
                     text = f"{ends} vibrate too fast: steps grow from dt {longest:.3g} on"
-                    yield line("warning", text)
+                    yield "warning", text
 
 
 def _kind_text(kind: Molecules) -> str:
@@ -94,7 +96,7 @@ def _pair_text(pairs: Pairs, units: Units) -> str:
     return f"between molecules up to {pairs.model.cutoff:g} {units.length}, {how}"
 
 
-def _start_lines(scene: ParticleScene, system: ParticleSystem) -> Iterator[str]:
+def _start_lines(scene: ParticleScene, system: ParticleSystem) -> Iterator[Line]:
     x, units = scene.initial, scene.units
     a, _ = system.accelerations(x.q, x.v)
     if not np.isfinite(a).all():
@@ -102,7 +104,7 @@ def _start_lines(scene: ParticleScene, system: ParticleSystem) -> Iterator[str]:
         raise SceneError(f"{scene.name}: the acceleration of {name} at the start is not finite")
     kinetic, potential = system.kinetic(x.v), system.potential(x.q)
     text = f"kinetic {kinetic:.6g}, potential {potential:.6g} {units.energy}"
-    yield line("start", text)
+    yield "start", text
 
 
 def _cost(scene: ParticleScene) -> float:
