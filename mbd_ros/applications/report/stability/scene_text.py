@@ -3,10 +3,8 @@
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.from_python import scene_from
+from mbd_ros.api import Scene, load_scene, scene_from
 from mbd_ros.scene.origin import NO_FILE
-from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.strict_yaml import mapping_of
 
 Entry = Mapping[str, Any]
