@@ -43,7 +43,6 @@ def write_diagnostics(
     """Fill a DiagnosticArray with one status and return it.
 
     Args:
-        msg: The DiagnosticArray.
         stamp: Header stamp [ns].
         health: What to report.
         new_status: The class DiagnosticStatus.

@@ -20,7 +20,6 @@ def write_inertia(
     """Fill an InertiaStamped and return it.
 
     Args:
-        msg: The message.
         stamp: Header stamp [ns].
         frame_id: Link in whose axes the numbers are.
         mass: [kg].

@@ -95,8 +95,6 @@ class JointStateReader:
         Args:
             stamp: Header stamp [ns].
             position: Doubles in the order of the message, or nothing.
-            velocity: The same.
-            effort: The same.
 
         Raises:
             MessageError: An array neither empty nor as long as the names.

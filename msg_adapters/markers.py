@@ -173,7 +173,6 @@ class MarkerPlaceReader:
         labels: The markers asked for.
 
     Attributes:
-        labels: As given.
         extra: Labels of the newest message that were not asked for.
         missing: Markers that it did not show.
         frame: Frame of the newest message.
@@ -253,7 +252,6 @@ def write_marker_places(
         labels: Of the markers.
         places: In the frame [m], shape (n, 3).
         new_marker: The class Marker.
-        frame_id: The frame.
 
     Raises:
         MessageError: No message can carry the stamp.

@@ -101,7 +101,6 @@ class MultiArrayCdrWriter:
     doubles.
 
     Args:
-        size: The length.
         names: Labels of dimensions, none or one a value.
     """
 

@@ -28,7 +28,6 @@ def motion_columns(motion: BodyMotion, frame: str) -> list[Column]:
     """Columns of all that is known of the motion of a body.
 
     Args:
-        motion: The motion.
         frame: Link in whose axes twist and acceleration stand.
     """
     columns = _columns(motion.name, POSE, motion.pose, WORLD)
@@ -42,7 +41,6 @@ def residual_columns(body: str, frame: str, wrench: Array) -> list[Column]:
     """What nothing carries of a body: force and moment on it, in its axes.
 
     Args:
-        body: Its name.
         frame: Link in whose axes it stands.
         wrench: Force [N], then moment [N·m] about the origin of the link, shape (n, 6).
     """

@@ -61,7 +61,6 @@ def figure(result: Result, table: str = MAIN, columns: Sequence[str] | None = No
     """Curves over time, or over the number of the row.
 
     Args:
-        result: The result.
         table: Which of its tables.
         columns: Columns (`knee.position`), or last words of their names (`effort`); without any,
             all but accelerations, commands, causes, energy and drift, or what else there is.

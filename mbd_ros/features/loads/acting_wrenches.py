@@ -80,7 +80,6 @@ class Named(NamedTuple):
     Attributes:
         name: Of the part.
         kind: constraint, contact, force, external wrench or muscle.
-        wrench: The wrench.
     """
 
     name: str

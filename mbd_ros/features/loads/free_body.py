@@ -38,12 +38,10 @@ class FreeBody:
     One instance owns its Pinocchio data: not for two threads.
 
     Args:
-        robot: The robot.
         link: Its frame is that of the body.
         cuts: Fixed joints at which the body ends too; joints that move need no mention.
 
     Attributes:
-        link: As given.
         links: The links of the body, `link` first.
         joints: Names of the joints that it is cut at.
         inertia: `pinocchio.Inertia` in the axes of the link.
@@ -213,9 +211,6 @@ class BodyMotion(NamedTuple):
 
 class TiedLinks:
     """Links of a robot as a tree of joints, those that never move among them.
-
-    Args:
-        robot: The robot.
 
     Attributes:
         edges: Joint that leads to a link, by the index of the frame of the link in the model.

@@ -22,12 +22,10 @@ class History(NamedTuple):
     """Loads on a body over time, in axes of its link and SI units.
 
     Attributes:
-        body: The link.
         links: All links of the body.
         joints: Where it is cut.
         inertia: `pinocchio.Inertia` in the axes of the link.
         stamps: Times [ns], shape (n,).
-        slots: The loads.
         point: Where they act [m], shape (n, slots, 3).
         force: [N], shape (n, slots, 3).
         moment: About the points [N·m], shape (n, slots, 3).
@@ -143,7 +141,6 @@ def instants_of(history: History, chosen: Sequence[float]) -> list[Instant]:
     """Peaks of force and moment of every load, and chosen instants, in the order of time.
 
     Args:
-        history: The loads.
         chosen: Times [s]; the nearest sample is taken.
 
     Raises:

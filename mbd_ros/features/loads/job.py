@@ -72,7 +72,6 @@ def loads(
     """Loads on one body of a scene in a motion, in axes of its link.
 
     Args:
-        scene: The scene.
         motion: As for `inverse`, and so are all arguments that are not named here.
         body: Link; what fixed joints tie to it belongs to the body.
         joints: Fixed joints at which the body ends; those that move need no mention.
@@ -228,7 +227,6 @@ def loads_to(scene: Scene, task: LoadsTask, out: File, say: Say) -> None:
     """Read a motion, write the loads on a body.
 
     Args:
-        scene: The scene.
         task: What is asked for.
         out: Its suffix chooses the format.
         say: Is told what was done and left out, a line each.

@@ -171,7 +171,6 @@ def sample_table(scene: Scene, times: Array, q: Array) -> Table:
     """Positions of all joints, locked ones too, and poses of free bodies.
 
     Args:
-        scene: The scene.
         times: [s], shape (N,).
         q: Configurations, shape (N, nq).
     """
@@ -207,7 +206,6 @@ def residual_table(solver: MarkerKinematics, times: Array, fit: Fit, seen: Seen)
     Args:
         solver: Has the labels.
         times: [s], shape (N,).
-        fit: The fit.
         seen: What was seen.
     """
     apart = np.where(seen.weights > 0.0, np.linalg.norm(fit.misses, axis=2), np.nan)
@@ -304,9 +302,7 @@ def axes_lines(
     """A warning where markers miss by far, and other axes of the recording explain it.
 
     Args:
-        solver: The solver.
         start: Default configuration, shape (nq,).
-        capture: The recording.
         seen: What was seen.
         fit: What was found.
     """

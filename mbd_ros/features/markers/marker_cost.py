@@ -35,13 +35,11 @@ class MarkerCost:
     """The objective of markers on a robot.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints.
         points: Where the markers are.
         tasks: Weights of coordinate tasks [m^2/rad^2 or 1], shape (nv,).
 
     Attributes:
-        couplings: As given.
         ancestry: 1 where a joint moves with an independent coordinate, shape (nv, ny).
         y_of_q: Where the independent coordinates stand in q, those of a free body all where its
             coordinates begin, shape (ny,).

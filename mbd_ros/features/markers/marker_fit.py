@@ -47,7 +47,6 @@ class MarkerFit:
     """Fits frames, each from a start of its own.
 
     Args:
-        cost: The objective.
         lower: Smallest independent coordinates, -inf without a limit, shape (ny,).
         upper: Largest ones, shape (ny,).
         loops: Rows that are kept besides the couplings, None without any.
@@ -238,7 +237,6 @@ class LoopRows:
     """Rows of positions that hold whatever force that takes.
 
     Args:
-        robot: The robot.
         constraints: Rigid constraints besides the couplings; those of velocities are left out.
         chart: The independent coordinates.
 

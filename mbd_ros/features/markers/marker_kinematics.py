@@ -45,18 +45,14 @@ class MarkerKinematics:
     Joints that the markers and tasks leave open keep the values of the start.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints.
-        marks: The markers.
         constraints: Of the scene; rigid ones of positions are kept, others have no say.
         tasks: Joint -> weight of the square of its distance from a position that is asked for.
         limits: Whether the position limits of joints are kept, dependent ones included.
 
     Attributes:
-        marks: As given.
         labels: Of the markers.
         solver: Fits frames.
-        tasks: As given.
 
     Raises:
         ModelError: No marker and no task, or a task for a joint that there is not.
@@ -146,7 +142,6 @@ def live_solver(
     """A solver for all markers of a scene, and the positions that coordinate tasks ask for.
 
     Args:
-        scene: The scene.
         task: File of a task; empty for the weights of the scene.
         limits: Whether joints keep their limits; a task may say no, too.
 

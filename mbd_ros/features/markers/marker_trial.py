@@ -33,8 +33,6 @@ def fit_trial(fit: MarkerFit, robot: Robot, start: Array, seen: Seen) -> Fit:
     """Fit every frame.
 
     Args:
-        fit: The solver.
-        robot: The robot.
         start: Default configuration, shape (nq,).
         seen: What was seen, frames in the order of their times.
 
@@ -53,8 +51,6 @@ def first_frame(fit: MarkerFit, robot: Robot, start: Array, seen: Seen) -> Fit:
     """The best configuration of one frame from several starts, the default pose first.
 
     Args:
-        fit: The solver.
-        robot: The robot.
         start: Default configuration, shape (nq,).
         seen: One frame.
     """

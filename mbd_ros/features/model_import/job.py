@@ -53,7 +53,6 @@ def scene_text(imported: Imported, urdf: str, sections: Mapping[str, Any], sourc
     """The scene as YAML.
 
     Args:
-        imported: The model.
         urdf: File of the description, beside the scene.
         sections: Those that the scene has.
         source: File of the model.

@@ -76,7 +76,6 @@ class Bag:
         """Write a result that comes piece by piece, in the order of time.
 
         Args:
-            path: The bag.
             results: The pieces, at least one; all have the columns and metadata of the first.
 
         Raises:
@@ -102,7 +101,6 @@ class Bag:
         """The result that `write` wrote; of other bags the joint states of a topic.
 
         Args:
-            path: The bag.
             topic: For a bag of another program.
 
         Raises:
@@ -154,7 +152,6 @@ class Stream(NamedTuple):
     """Contents of a topic.
 
     Attributes:
-        topic: Its name.
         msgtype: JointState, Odometry or Float64MultiArray.
         names: Joints, frames of pose and twist, or labels; empty labels are not written.
         fields: Field of the message -> its values, shape (n, width).
@@ -170,7 +167,6 @@ class Stream(NamedTuple):
 
         Args:
             stamps: Of the chosen rows [ns], shape (n,).
-            chosen: The rows.
 
         Raises:
             MessageError: What no message can carry.

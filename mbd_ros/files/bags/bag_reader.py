@@ -181,8 +181,6 @@ def raw_blocks(path: Path, topic: str, msgtype: str) -> Iterator[RawBlock]:
     MCAP files are read chunk by chunk, with the index of messages behind each.
 
     Args:
-        path: The bag.
-        topic: The topic.
         msgtype: Type that it must have.
 
     Raises:

@@ -36,7 +36,6 @@ def bag_motion(path: Path, topic: str, wanted: Wanted) -> Recording:
     """See `recordings.read_motion`.
 
     Args:
-        path: The bag.
         topic: Of the joint states of the only robot; the others are beside it.
         wanted: What is read.
     """
@@ -99,7 +98,6 @@ class JointStates:
 
     Args:
         path: The bag, for messages.
-        topic: The topic.
         joints: In the order of the fields.
         needed: Those that must have a finite position.
         dropped: Counts the messages that cannot be used, by reason.
@@ -292,7 +290,6 @@ class MotionBlocks:
     """Pieces of the motion of a bag; together they are what `read_motion` gives.
 
     Args:
-        path: The bag.
         topic: JointState topic.
         joints: Names, in the order of the columns.
         needed: Those that must have a finite position.

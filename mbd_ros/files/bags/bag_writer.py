@@ -163,7 +163,6 @@ class Rows(NamedTuple):
     """Messages of a topic that are equally long.
 
     Attributes:
-        topic: Its name.
         msgtype: As `sensor_msgs/msg/JointState`.
         log_times: [ns], shape (n,).
         cdr: Serialized messages with their encapsulation, one a row, shape (n, size).
@@ -180,7 +179,6 @@ def append(storage: Any, parts: Sequence[Rows], channels: Sequence[int]) -> None
 
     Args:
         storage: Writer of rosbags, MCAP without compression or sqlite3.
-        parts: The messages.
         channels: Number of the connection of each part.
     """
     times = np.concatenate([part.log_times for part in parts])

@@ -24,7 +24,6 @@ class Spool:
         kind: Of the numbers.
 
     Attributes:
-        width: As given.
         rows: How many there are.
 
     Raises:

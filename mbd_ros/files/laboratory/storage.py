@@ -107,7 +107,6 @@ class Storage:
         """Write a table; its `stamp`, the time in nanoseconds, is left out.
 
         Args:
-            path: The file.
             result: Its table has the column `time`.
             degrees: Whether angles, their speeds and accelerations are in degrees in the file.
 

@@ -62,7 +62,6 @@ class Trc:
         """Write the markers of a table; its `stamp`, the time in nanoseconds, is left out.
 
         Args:
-            path: The file.
             result: Its table has the column `time`, and points in m.
             unit: m, cm or mm, of the numbers in the file.
 

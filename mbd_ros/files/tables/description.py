@@ -15,7 +15,6 @@ def describe(result: Result, more: Mapping[str, Mapping[str, Any]] | None = None
     """Names, units and frames of all columns, and the metadata.
 
     Args:
-        result: The result.
         more: Table -> column -> further keys that a format needs.
     """
     tables = {}

@@ -45,7 +45,6 @@ class LeftOut(NamedTuple):
 
     Attributes:
         type: Its class in the other program.
-        name: Its name.
         reason: Why it is left out.
     """
 

@@ -80,7 +80,6 @@ def import_model(path: Path, form: str, locked: Mapping[str, float | None]) -> I
     """Read a model.
 
     Args:
-        path: The file.
         form: One of `FORMATS`.
         locked: Joint -> position [rad or m] where it is locked, None where the file locks it and
             it is to move.

@@ -25,7 +25,6 @@ class Names:
         """A name like the wish that nothing else has; it is taken from now on.
 
         Args:
-            wish: The name.
             ending: What it gets where the wish is taken, before it gets a number.
         """
         name, number = wish, 2

@@ -31,7 +31,6 @@ def urdf_text(
     Args:
         name: Of the robot.
         links: Names of the links.
-        joints: The joints.
         masses: By link; a link that is not there has none.
         titles: Name of a joint in the scene -> its name in the description, where they differ.
     """

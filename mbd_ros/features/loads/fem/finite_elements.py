@@ -102,9 +102,6 @@ def write_body(
     """Write the file that its suffix says: .inp, .feb, .vtu.
 
     Args:
-        body: The body.
-        steps: Its instants.
-        out: The file.
         say: Is told what was written.
         amplitudes: One step over the whole motion, for .inp.
 

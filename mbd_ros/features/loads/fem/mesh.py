@@ -41,7 +41,6 @@ def read_mesh(path: Path, per_metre: float, pose: Sequence[float] = ()) -> Mesh:
     """A mesh from any file that meshio reads.
 
     Args:
-        path: The file.
         per_metre: Its lengths in a metre.
         pose: Place and roll, pitch, yaw of the axes of the mesh in those of the body, in lengths
             of the mesh and rad; none where they are the same.

@@ -29,8 +29,6 @@ class Body(NamedTuple):
     """What all writers write, in SI units and axes of the link.
 
     Attributes:
-        history: The loads.
-        mesh: The mesh.
         mass: Of the mesh with density 1.
         material: What it is made of.
         attachments: Nodes of the loads, that of the support among them.
@@ -241,8 +239,6 @@ def attachments_of(
     """Nodes of every load.
 
     Args:
-        history: The loads.
-        mesh: The mesh.
         given: Load -> name of a set of nodes, or a radius about its point [m].
         radius: Of loads that are not given [m]; None where all are.
 

@@ -17,8 +17,6 @@ def write_series(body: Body, steps: Sequence[Step], out: Path) -> int:
     `turning` (of the angular acceleration), `load` (0 on the mesh, else its number from 1 on).
 
     Args:
-        body: The body.
-        steps: Its instants.
         out: As `pylon.vtu`: files are `pylon_0000.vtu`, .., and `pylon.pvd`.
 
     Returns:

@@ -145,10 +145,8 @@ class ScaledUrdf:
         """Scale the joints that hang on a link.
 
         Args:
-            link: Its name.
             factor: Of the segment that it belongs to.
             turn: From its axes to those of that segment, shape (3, 3).
-            tree: The description.
         """
         for joint in tree.findall("joint"):
             if _parent(joint) != link:

@@ -28,7 +28,6 @@ class Bodies:
     Args:
         root: `<mujoco>`.
         defaults: Its default classes.
-        compiler: Its settings.
         source: File, for the messages.
 
     Attributes:
@@ -107,15 +106,12 @@ class Body(NamedTuple):
     """A body.
 
     Attributes:
-        item: The element.
         name: Of its link.
         parent: Name of the body that carries it; empty for the world.
         at: `pinocchio.SE3` in its parent.
         world: In the world, at the reference pose.
         inertial: Element `<inertial>`, if any.
         joints: Its joints; their place is that of the frame around them.
-        geoms: Its geoms.
-        sites: Its sites.
         others: What a scene has no place for.
     """
 

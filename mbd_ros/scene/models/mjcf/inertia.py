@@ -37,7 +37,6 @@ def body_inertia(
     Args:
         inertial: Element `<inertial>`, if any.
         geoms: Its geoms and their places.
-        compiler: The settings.
         meshes: Those of the model.
 
     Raises:
@@ -176,7 +175,6 @@ class Meshes:
     Args:
         root: `<mujoco>`.
         defaults: Its default classes.
-        path: Its file.
     """
 
     def __init__(self, root: Element, defaults: Defaults, path: Path) -> None:

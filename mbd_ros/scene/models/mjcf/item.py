@@ -33,7 +33,6 @@ class Item:
     """An element that describes something, such as `<joint name="knee">`.
 
     Args:
-        element: The element.
         source: File, for the messages.
         defaults: Attributes that it has where it does not give them.
     """
@@ -171,7 +170,6 @@ class Defaults:
         """An element with the attributes of its class.
 
         Args:
-            element: The element.
             around: `childclass` of the bodies and frames around it, if any.
             kind: Its section where its tag does not say it, as in `<equality>`.
 

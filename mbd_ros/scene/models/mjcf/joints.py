@@ -34,10 +34,6 @@ class Tree:
     One free body that carries all that moves is the base of the robot; other free bodies have six
     joints each.
 
-    Args:
-        bodies: The bodies.
-        compiler: The settings.
-
     Attributes:
         links: Names of links, the root first.
         joints: Joints of the description.
@@ -137,9 +133,7 @@ def hinges_of(body: Body, names: Sequence[str], compiler: Compiler) -> list[Hing
     """Coordinates of the joints of a body, in their order.
 
     Args:
-        body: The body.
         names: Of its joints.
-        compiler: The settings.
 
     Raises:
         SceneError: A free joint beside others or inside another body, or values that are wrong.
@@ -160,7 +154,6 @@ class Hinge(NamedTuple):
     """A coordinate: a joint of the description.
 
     Attributes:
-        item: The element.
         name: Its name in the scene.
         motion: What it does.
         before: `pinocchio.SE3` of the joint in the body, as the joints before it moved that.

@@ -40,7 +40,6 @@ def import_mjcf(path: Path, locked: Mapping[str, float | None] | None = None) ->
     """Read a model of MuJoCo.
 
     Args:
-        path: The file.
         locked: Joint -> position [rad or m] where it is to be locked, or None where one that an
             equality holds still is to move.
 
@@ -92,7 +91,6 @@ def _include(element: Element, path: Path, folder: Path, seen: list[Path]) -> No
 
     Args:
         element: What may include.
-        path: Its file.
         folder: That of the model, from which names of files start.
         seen: All files so far; MuJoCo takes each once.
     """

@@ -19,7 +19,6 @@ class Reading:
         root: `<mujoco>`.
         source: File, for the messages.
         defaults: Its default classes.
-        compiler: Its settings.
         tree: Its links and joints.
 
     Attributes:

@@ -97,7 +97,6 @@ class Shape(NamedTuple):
     """A contact geometry.
 
     Attributes:
-        name: Its name.
         body: The body that carries it.
         entry: As a scene writes it.
         radius: Of a sphere [m], inf of a half space.

@@ -126,7 +126,6 @@ def read_prescribed(
     """The motions of coordinates that do not stand still.
 
     Args:
-        reading: The model.
         coordinates: By name.
         coupled: Those that follow others.
 

@@ -32,7 +32,6 @@ class Item:
     of the model, if there is one, and otherwise the default of OpenSim.
 
     Args:
-        element: The element.
         source: File, for the messages.
         defaults: Elements of `<defaults>` by type.
         outer: The element that holds it.
@@ -199,7 +198,6 @@ class Frames:
         """The frame that an element names.
 
         Args:
-            item: The element.
             sockets: What its sockets, or its elements in older files, may be called.
 
         Raises:

@@ -67,11 +67,8 @@ class Joint(NamedTuple):
     """A joint from a parent to a child.
 
     Attributes:
-        item: The element.
-        name: Its name.
         parent: Its frame on the parent.
         child: Its frame on the child.
-        coordinates: Its coordinates.
         steps: What is between both frames, from the parent to the child.
         missing: What of it is not expressed, empty for most.
     """
@@ -94,8 +91,6 @@ class Coordinate(NamedTuple):
     """A coordinate of a joint.
 
     Attributes:
-        item: The element.
-        name: Its name.
         default: Position at the start [rad or m].
         speed: Velocity at the start [rad/s or m/s].
         limits: Smallest and largest position [rad or m] where it is clamped, else None.

@@ -33,7 +33,6 @@ def import_osim(
     """Read a model of any format from 1.9 on.
 
     Args:
-        text: The file.
         source: Its name, for the messages.
         locked: Coordinate -> position [rad or m] where it is to be locked, or None where one that
             the file locks is to move.

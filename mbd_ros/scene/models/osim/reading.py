@@ -17,7 +17,6 @@ class Reading:
     Args:
         model: The `<Model>`.
         frames: Its bodies and offset frames.
-        mechanism: Its joints.
         fixed: Coordinates that do not move -> position [rad or m].
         closures: Name of a joint that closes a loop -> the constraint in its place.
 
