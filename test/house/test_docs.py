@@ -19,7 +19,7 @@ from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.features.tools.completion import all_words
 from mbd_ros.files import formats
-from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.table import Column, Result, Table, read_result
 
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(ROOT.glob("docs/*.md"))]
 FOLDERS = ("benchmarks", "config", "docs", "launch", "mbd_ros", "msg_adapters", "test")
@@ -296,17 +296,17 @@ def test_a_command_of_ones_own(follow, capsys):
 def test_a_format_of_ones_own(follow, tmp_path, monkeypatch):
     monkeypatch.setattr(formats, "_installed", formats._installed.__wrapped__)
     follow("A format")
-    torques = formats.read_result("torques.npz")["samples"]
+    torques = read_result("torques.npz")["samples"]
     assert np.abs(torques["joint2.effort"]).max() < 1e-9  # of free motion
     time, place = np.linspace(0.0, 1.0, 4), np.array([1 / 3, 2.0, -0.1, 1e-300])
     made = Table([Column("time", time, "s"), Column("knee.position", place, "rad")])
     Result({"samples": made}).to(tmp_path / "knee.txt")
-    assert formats.read_result(tmp_path / "knee.txt")["samples"] == made
+    assert read_result(tmp_path / "knee.txt")["samples"] == made
     with pytest.raises(DataError, match="column tensor is float64 of shape 3 x 3 a row"):
         Result({"samples": Table([Column("tensor", np.zeros((2, 3, 3)))])}).to("t.txt")
     Path("empty.txt").write_text("")
     with pytest.raises(DataError, match="empty.txt: no table of text"):
-        formats.read_result("empty.txt")
+        read_result("empty.txt")
 
 
 def test_a_section_of_ones_own(follow, capsys):
