@@ -63,7 +63,9 @@ def body_defects(scheme: Collocation, *, has_shifts: bool) -> Form:
 
 
 class PhaseForms:
-    """Forms of a phase, made once for all meshes.
+    """Defects of a phase, and forms of other expressions at its points and nodes.
+
+    Forms are made once for all meshes.
 
     Args:
         parameters: Numbers of the parameters among the unknowns.

@@ -154,20 +154,15 @@ def held_limits(
 
 
 class Kept(Protocol):
-    """What a contact that is held has to keep.
-
-    Attributes:
-        contact: Its name.
-        crossing: A number of its multipliers that may not be negative.
-    """
+    """What a contact that is held has to keep."""
 
     @property
     def contact(self) -> str:
-        """See the attributes of the class."""
+        """Name of the contact."""
 
     @property
     def crossing(self) -> Crossing:
-        """See the attributes of the class."""
+        """A number of its multipliers that may not be negative."""
 
 
 def joined(equations: PhaseEquations, cones: Cones) -> Cones:

@@ -42,7 +42,6 @@ class MotionPhase:
         given: Inputs that are known over time.
 
     Attributes:
-        problem: As given, as `equations`, `given` and `limits`.
         quantities: By name.
         forms: Equations on meshes.
 

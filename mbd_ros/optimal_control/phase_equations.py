@@ -47,7 +47,6 @@ class PhaseEquations:
         dependence: Of its rows; None where each tells something.
 
     Attributes:
-        equations: As given, as `dependence`.
         symbols: Letter -> column: t, p and `LETTERS`.
         sizes: Of the system.
     """
@@ -84,12 +83,12 @@ class PhaseEquations:
 
     @cached_property
     def positions(self) -> Any:
-        """G of rows that state positions, a column of size mg."""
+        """The g of rows that state positions, a column of size mg."""
         return ca.vertcat(ca.SX(0, 1), *self._closing.g)
 
     @cached_property
     def velocities(self) -> Any:
-        """G' of rows but for dependent ones, or what rows of velocities state, of size mk."""
+        """The g' of rows but for dependent ones, or what rows of velocities state, of size mk."""
         return ca.vertcat(ca.SX(0, 1), *self._kept.velocities(scalars(self.symbols["v"])))
 
     @cached_property

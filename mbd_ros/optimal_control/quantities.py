@@ -54,7 +54,7 @@ class Quantities:
 
     @property
     def symbols(self) -> Mapping[str, Any]:
-        """As those of the phase."""
+        """Letter -> column of symbols of the phase."""
         return self._phase.symbols
 
     @property

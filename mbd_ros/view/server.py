@@ -60,7 +60,7 @@ class PageServer:
 
     Attributes:
         viser: The `viser.ViserServer`.
-        token: As given or made up.
+        token: What browsers must know, given or made up.
         address: Of the page, without token.
         departures: How many browsers went away.
 

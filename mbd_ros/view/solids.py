@@ -297,7 +297,7 @@ def box_around(solids: Sequence[Solid], poses: Array) -> tuple[Array, Array]:
 
     Args:
         solids: What there is; without any the box is around the joints and the origin.
-        poses: As those of `Drawn`, shape (njoints, 7).
+        poses: Place and quaternion (w, x, y, z) of every joint, shape (njoints, 7).
     """
     bounded = [solid for solid in solids if not solid.is_ground]
     corners = [] if bounded else [poses[1:, :3], np.zeros((1, 3))]

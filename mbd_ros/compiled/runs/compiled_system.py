@@ -63,7 +63,7 @@ class CompiledSystem:
         return parts[0]._replace(rates=parts[1] if self._has_internals else None)
 
     def balance(self, whole: Any) -> CompiledBalance:
-        """As `linearization.Balance`, of this system or of it with internal states."""
+        """The residual force of this system, or of it with internal states."""
         names = "balance", "balance_slopes"
         force, slopes = (self._function(name) for name in names)
         return CompiledBalance(self, force, slopes, whole.nv)
@@ -130,7 +130,7 @@ def _table(values: Array, rows: int, columns: int) -> Array:
 
 
 class CompiledBalance:
-    """As `mbd_ros.core.dynamics.linearization.Balance`, with slopes to rounding.
+    """Residual force of the equation of motion and its slopes, as `linearization.Balance`.
 
     Args:
         force: The native function `balance`.

@@ -59,7 +59,7 @@ class PathSearch:
         self._call.restype = None
 
     def __call__(self, path: Any, points: Array, places: Sequence[Placed]) -> Taut:
-        """As `wrapping.taut.taut`, of a `WrappedPath`."""
+        """The taut path of a `WrappedPath` in every sample; see `wrapped_path.taut`."""
         n, m, _ = points.shape
         known = all(type(wrap.surface) in SURFACES for wrap in path.wraps)
         if not known or len(places) > WRAPS or m - 1 > LINES:

@@ -71,7 +71,7 @@ class ConstrainedMotion:
 
     @property
     def pivots(self) -> list[Any]:
-        """As those of a `Solution`."""
+        """What rows leave of themselves, SX scalars; see `Solution`."""
         return [-self._factors.pivots[i] for i in range(self._nv, self._nv + self._m)]
 
     def solve(self, forces: Sequence[Any], rates: Sequence[Any]) -> Solution:

@@ -167,14 +167,14 @@ class SymbolicKinematics:
 
     @staticmethod
     def zeros(shape: Any) -> Any:
-        """As numpy's, and open to symbols."""
+        """An array of zeros that takes symbols."""
         found = np.empty(shape, dtype=object)
         found.fill(0.0)
         return found
 
     @classmethod
     def within(cls, values: Any, lower: Any, upper: Any) -> Any:
-        """As `Kinematics.within`; bounds may be one a value."""
+        """Values moved into their bounds, one pair for all or one a value."""
         found = values.copy()
         bounds = (np.broadcast_to(one, found.shape).tolist() for one in (lower, upper))
         for i, (low, high) in enumerate(zip(*bounds, strict=True)):
@@ -306,7 +306,7 @@ class SymbolicPairMotion:
     def along(
         self, function: OfPose, pose: Pose, rates: Pose
     ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
-        """As `PairMotion.along`, by derivatives of the function."""
+        """Values of a function of a pose, and their rates by its derivatives."""
         at, along = ca.SX.sym("at", 12), ca.SX.sym("along", 12)
         rotation, translation = numbers(at[:9]).reshape(3, 3), numbers(at[9:])
         found = [np.asarray(one, dtype=object) for one in function(Pose(rotation, translation))]

@@ -233,8 +233,8 @@ class _Pivot(NamedTuple):
     """What the backward sweep leaves for the forward one, of a joint with one coordinate.
 
     Attributes:
-        force: U: force and torque that a unit of joint acceleration takes.
-        torque: See `force`.
+        force: Force that a unit of joint acceleration takes, part of U.
+        torque: Torque that it takes, the other part.
         share: 1 / (S' U + armature).
         rest: Joint force that is left, less what links need.
     """

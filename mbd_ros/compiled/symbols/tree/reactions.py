@@ -38,7 +38,7 @@ class SymbolicReactions:
 
     @cached_property
     def felt(self) -> Any:
-        """As `Now.reactions`: muscles act in joints. Shape (n, 6).
+        """Wrenches in joints where muscles act in joints, as `Now.reactions`, shape (n, 6).
 
         Raises:
             Untraceable: Names a part whose forces have no symbols, or no points.
@@ -49,7 +49,7 @@ class SymbolicReactions:
         return np.array(every, dtype=object).reshape(-1, 6)
 
     def load(self, joined: Joined) -> list[Any]:
-        """As `JointLoads` has it in axes of the link: muscles pull on bodies. Six numbers.
+        """Six numbers of the load of a joint in axes of the link, where muscles pull on bodies.
 
         Raises:
             Untraceable: As `felt`.
