@@ -1,7 +1,7 @@
 """Modes of contacts with friction that give way at events, and where they end.
 
-The mode of a normal is 0 while a contact touches and 1 while it is open. Those of its tangents
-are 0 while it sticks, 1 while it is open, and else two odd numbers along the slip (`slip_names`).
+The mode of a normal is 0 while a contact touches and 1 while it is open. Those of its tangents are
+0 while it sticks, 1 while it is open, and else two odd numbers along the slip (`slip_directions`).
 """
 
 import math
@@ -9,7 +9,8 @@ from collections.abc import Collection
 
 import numpy as np
 
-from mbd_ros.core.contact_modes.mode_equations import EASED, ExactContacts, Split
+from mbd_ros.core.contact_modes.contact_forces import Split
+from mbd_ros.core.contact_modes.mode_equations import EASED, ExactContacts
 from mbd_ros.core.contact_modes.slip_directions import (
     begun,
     ends,

@@ -5,6 +5,8 @@ of a row is 0 while it is on; 1 where its multiplier is at the lower bound (a ga
 friction of a joint that slips forwards), -1 at the upper one.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, cast
@@ -19,82 +21,8 @@ from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import TIE
 
-# Bounds of multipliers in a mode, and rows that all are at one: forces that are known.
-
+# from t, q, v and the acceleration without the rows to that with their forces
 Pushing = Callable[[float, Array, Array, Array], Array]
-"""Acceleration at t, q and v from the one without the rows."""
-
-
-def is_idle(rows: ConstraintRows, at: NDArray[np.intp], mode: Mode) -> bool:
-    """Whether no row acts in a mode, as far as that is known while building.
-
-    Args:
-        rows: Rows that give way.
-        at: Which of them go from event to event, shape (n,).
-        mode: Begins with one entry each of these.
-    """
-    return (
-        len(mode) > 0
-        and not rows.varies
-        and all(way == 1 and rows.lower[i] == 0.0 for way, i in zip(mode, at, strict=False))
-    )
-
-
-def pushing(motion: Any, rows: ConstraintRows, at: NDArray[np.intp], mode: Mode) -> Pushing | None:
-    """What adds the forces of rows at their bounds; None where one has to be solved for.
-
-    Args:
-        motion: The `FreeMotion` without rows that give way.
-        rows: Rows that give way.
-        at: Which of them go from event to event, shape (n,).
-        mode: Begins with one entry each of these.
-    """
-    n = len(at)
-    if len(rows.rows) > n or len(mode) < n or not all(mode[:n]):
-        return None
-    k, at_lower = motion.mechanism.k, np.array(mode[:n]) == 1
-    pairs = zip(rows.parts, rows.slices, strict=True)
-    known = np.where(at_lower, rows.lower, rows.upper)
-    acting = [(part, mine) for part, mine in pairs if rows.varies or known[mine].any()]
-    reads = max((part.reads for part, _ in acting), default=Reads.NOTHING)
-
-    def pushed(t: float, q: Array, v: Array, a: Array) -> Array:
-        joint_q, joint_v, joint_a = motion.joint_motion(q, v, a)
-        x = State(t, joint_q, joint_v, motion.mechanism.z)
-        k.refresh(joint_q, joint_v, reads)
-        lam = known
-        if rows.varies:
-            rows.limit(k, x)
-            lam = np.where(at_lower, rows.lower, rows.upper)
-        force = sum(lam[mine].dot(part.jacobian(k, x)) for part, mine in acting)
-        response = motion.respond(q, np.reshape(force, (-1, 1)))[:, 0]
-        return cast(Array, motion.coordinates.integrated(joint_a + response))
-
-    return pushed if acting else None
-
-
-def bounds_in(
-    rows: ConstraintRows, at: NDArray[np.intp], mode: Mode, free: Collection[int]
-) -> tuple[Array, Array]:
-    """Smallest and largest multipliers of all rows in a mode.
-
-    Args:
-        rows: Rows that give way.
-        at: Which of them go from event to event, shape (n,).
-        mode: Begins with one entry each of these.
-        free: Those whose mode is looked for.
-    """
-    lower, upper = rows.lower.copy(), rows.upper.copy()
-    for i, (row, way) in enumerate(zip(at, mode, strict=False)):
-        if i in free:
-            continue
-        if way == 0:
-            lower[row], upper[row] = -np.inf, np.inf
-        elif way == 1:
-            upper[row] = lower[row]
-        else:
-            lower[row] = upper[row]
-    return lower, upper
 
 
 class ExactRows:
@@ -146,11 +74,11 @@ class ExactRows:
         self._pushing: tuple[Mode, Pushing | None] = ((), None)
 
     def is_idle(self, mode: Mode) -> bool:
-        """As `rows_at_bounds.is_idle`."""
+        """Whether no row acts in a mode, as far as that is known while building."""
         return is_idle(self._rows, self._at, mode)
 
     def pushing(self, mode: Mode) -> Pushing | None:
-        """As `rows_at_bounds.pushing`."""
+        """What adds the forces of rows at their bounds; None where one has to be solved for."""
         if mode != self._pushing[0]:
             self._pushing = mode, pushing(self._motion, self._rows, self._at, mode)
         return self._pushing[1]
@@ -325,3 +253,75 @@ def _each(blocks: tuple[RowBlock, ...]) -> list[tuple[int, int, RowBlock]]:
     """Number of every row, its number in its block, and the block."""
     own = ((n, block) for block in blocks for n in range(len(block.rows)))
     return [(i, *each) for i, each in enumerate(own)]
+
+
+def bounds_in(
+    rows: ConstraintRows, at: NDArray[np.intp], mode: Mode, free: Collection[int]
+) -> tuple[Array, Array]:
+    """Smallest and largest multipliers of all rows in a mode.
+
+    Args:
+        rows: Rows that give way.
+        at: Which of them go from event to event, shape (n,).
+        mode: Begins with one entry each of these.
+        free: Those whose mode is looked for.
+    """
+    lower, upper = rows.lower.copy(), rows.upper.copy()
+    for i, (row, way) in enumerate(zip(at, mode, strict=False)):
+        if i in free:
+            continue
+        if way == 0:
+            lower[row], upper[row] = -np.inf, np.inf
+        elif way == 1:
+            upper[row] = lower[row]
+        else:
+            lower[row] = upper[row]
+    return lower, upper
+
+
+def is_idle(rows: ConstraintRows, at: NDArray[np.intp], mode: Mode) -> bool:
+    """Whether no row acts in a mode, as far as that is known while building.
+
+    Args:
+        rows: Rows that give way.
+        at: Which of them go from event to event, shape (n,).
+        mode: Begins with one entry each of these.
+    """
+    return (
+        len(mode) > 0
+        and not rows.varies
+        and all(way == 1 and rows.lower[i] == 0.0 for way, i in zip(mode, at, strict=False))
+    )
+
+
+def pushing(motion: Any, rows: ConstraintRows, at: NDArray[np.intp], mode: Mode) -> Pushing | None:
+    """What adds the forces of rows that all are at a bound; None where one has to be solved for.
+
+    Args:
+        motion: The `FreeMotion` without rows that give way.
+        rows: Rows that give way.
+        at: Which of them go from event to event, shape (n,).
+        mode: Begins with one entry each of these.
+    """
+    n = len(at)
+    if len(rows.rows) > n or len(mode) < n or not all(mode[:n]):
+        return None
+    k, at_lower = motion.mechanism.k, np.array(mode[:n]) == 1
+    pairs = zip(rows.parts, rows.slices, strict=True)
+    known = np.where(at_lower, rows.lower, rows.upper)
+    acting = [(part, mine) for part, mine in pairs if rows.varies or known[mine].any()]
+    reads = max((part.reads for part, _ in acting), default=Reads.NOTHING)
+
+    def pushed(t: float, q: Array, v: Array, a: Array) -> Array:
+        joint_q, joint_v, joint_a = motion.joint_motion(q, v, a)
+        x = State(t, joint_q, joint_v, motion.mechanism.z)
+        k.refresh(joint_q, joint_v, reads)
+        lam = known
+        if rows.varies:
+            rows.limit(k, x)
+            lam = np.where(at_lower, rows.lower, rows.upper)
+        force = sum(lam[mine].dot(part.jacobian(k, x)) for part, mine in acting)
+        response = motion.respond(q, np.reshape(force, (-1, 1)))[:, 0]
+        return cast(Array, motion.coordinates.integrated(joint_a + response))
+
+    return pushed if acting else None

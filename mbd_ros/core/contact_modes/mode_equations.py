@@ -1,62 +1,41 @@
-"""Contacts in a mode that is known: equations of what is on, and their multipliers.
+"""Contacts in a mode that is known: equations of what is on, and nothing else.
 
-Sticking, the normal and the tangents of a contact are three equations. Slipping, friction is mu
-times the normal force against the slip velocity: the normal alone is an equation, and pushes along
+    J a + drift = 0 of the rows that are on,   M a + h = tau + D' lam
+
+Sticking, the normal and the tangents of a contact are three equations, and D = J. Slipping,
+friction is mu times the normal force against the slip velocity: the normal alone is an equation,
+and pushes along
 
     D = n - mu d' t,   d = v_t / |v_t|
 
-so that the mobility J M^-1 D' is not symmetric. A ball that sticks rolls. What contacts do next
-is the subject of `contact_modes`. Source: F. Pfeiffer, C. Glocker, Multibody Dynamics with
-Unilateral Contacts, 1996, ch. 5.
+so that the mobility J M^-1 D' is not symmetric. A ball that sticks rolls. Most accelerations are
+found so. Where the mode does not say what contacts do, or equations alone do not split their
+forces by the laws of contact, `ExactContacts` finds them as if for the first time, by
+`contact_forces`. What contacts do next is the subject of `contact_modes`. Source: F. Pfeiffer, C.
+Glocker, Multibody Dynamics with Unilateral Contacts, 1996, ch. 5.
 """
 
-import itertools
+from __future__ import annotations
+
 import math
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.complementarity.contact_problem import ContactProblem
+from mbd_ros.core.contact_modes.contact_forces import ContactForces, Split, Touch
 from mbd_ros.core.contact_modes.slip_directions import direction, is_fine, slowest
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.optimization.box_qp import exchanged, least_norm
-from mbd_ros.core.optimization.least_norm import balanced, least_balanced
+from mbd_ros.core.optimization.redundant_equations import balanced, least_balanced
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, Mode, State
-from mbd_ros.core.thresholds import TIE, ZERO_ROW
-from mbd_ros.errors import JammedError, SolveError
+from mbd_ros.core.thresholds import ZERO_ROW
 
-# ---- mode equations ---------------------------------------------------------------------------
-# Contacts in a mode that is known: the equations of what is on, and nothing else.
-#
-# So most accelerations are found. Where the mode does not say what contacts do, or equations alone
-# do not split their forces by the laws of contact, `ExactContacts` finds them as if for the first
-# time.
-
-
-class Balance(NamedTuple):
-    """What rows do in their mode.
-
-    Attributes:
-        lam: Their multipliers, shape (m,).
-        force: Of these on all joints, shape (nv,).
-        a: Accelerations of all joints with it, shape (nv,).
-        left: The w of the rows, shape (m,).
-        is_split: Whether equations alone do not split the force; lam is then the least one.
-        moving: Slips that follow the velocity, by their contacts.
-    """
-
-    lam: Array
-    force: Array
-    a: Array
-    left: Array
-    is_split: bool
-    moving: dict[int, Array]
+_TOGETHER = 100.0  # times a slip that counts as none: those of others that end with it
+EASED = 1.0e-6  # of friction: so little less shows how contacts begin to move
 
 
 class ContactsInMode:
@@ -68,7 +47,7 @@ class ContactsInMode:
         mode: One entry a row.
     """
 
-    def __init__(self, rows: ConstraintRows, contacts: "ExactContacts", mode: Mode) -> None:
+    def __init__(self, rows: ConstraintRows, contacts: ExactContacts, mode: Mode) -> None:
         self._rows, self._contacts = rows, contacts
         m = len(rows.rows)
         on = {i for i, way in enumerate(mode[:m]) if way == 0}
@@ -187,7 +166,7 @@ class ContactsInMode:
 
 
 def contacts_in(
-    rows: ConstraintRows, contacts: "ExactContacts", count: int, mode: Mode
+    rows: ConstraintRows, contacts: ExactContacts, count: int, mode: Mode
 ) -> ContactsInMode | None:
     """The equations of a mode; None where a mode does not say them.
 
@@ -203,257 +182,24 @@ def contacts_in(
     return known if len(known.on) else None
 
 
-# ---- mode multipliers -------------------------------------------------------------------------
-# Multipliers of contacts at one state, beside those of the rows around them.
-#
-# In a mode they are what its equations ask for, of any sign: so events are located from smooth
-# motions. Where modes are looked for, and where contacts share a force that equations do not
-# split,
-# they keep the laws of contact. Among equal ones they have the smallest norm.
-
-
-_MINORS = 4096  # that are looked at
-_WITHIN = 1.0e-12  # of the largest multiplier: by which a law may be passed
-
-
-class Touch(Enum):
-    """How a contact touches at a state."""
-
-    OPEN = "open"
-    STICKS = "sticks"
-    SLIPS = "slips"
-    MAY_SLIP = "may slip"  # it slips, or opens
-    MAY = "may"  # it opens, sticks or begins to slip
-
-
-class Split(Enum):
-    """Whether equations alone say how contacts share their forces."""
-
-    ONE = "one"
-    LEAST = "least"  # they do not, and the least norm keeps the laws
-    LAWFUL = "lawful"  # another share of them does
-    NONE = "none"  # none does: the mode is over
-
-
-class ContactForces:
-    """Finds the multipliers of all rows that give way.
-
-    Args:
-        rows: The rows.
-
-    Attributes:
-        split: How the last ones were found.
-        grip: Share of the coefficients of friction that counts where modes are looked for.
-    """
-
-    def __init__(self, rows: ConstraintRows) -> None:
-        self._cones, self._names = rows.cones, [row.name for row in rows.rows]
-        self._starts = np.array([cone.slots.start for cone in rows.cones], dtype=np.intp)
-        self._of_contacts = (self._starts[:, None] + (0, 1, 2)).ravel()
-        self._mu = np.array([cone.mu for cone in rows.cones])
-        self.split, self.grip = Split.ONE, 1.0
-
-    def solve(
-        self,
-        A: Array,
-        w: Array,
-        bounds: tuple[Array, Array],
-        touches: Sequence[Touch],
-        *,
-        splits: bool = True,
-    ) -> Array:
-        """The multipliers, shape (m,), fresh.
-
-        Args:
-            A: Rates w that multipliers add, shape (m, m).
-            w: Those without them, shape (m,).
-            bounds: Smallest and largest multipliers; those of contacts follow from `touches`.
-            touches: One entry a contact.
-            splits: Whether it matters how contacts that stick share their force.
-
-        Raises:
-            SolveError: The rows that are on contradict one another, or no forces are found.
-        """
-        lower, upper = bounds[0].copy(), bounds[1].copy()
-        for start, touch in zip(self._starts.tolist(), touches, strict=True):
-            self._bound(lower, upper, start, touch)
-        self.split = Split.ONE
-        if Touch.MAY in touches or Touch.MAY_SLIP in touches:
-            return self.lawful(A, w, lower, upper, touches)
-        unit = self._units(A)
-        on = np.isinf(lower) & np.isinf(upper)
-        if not (on | (lower == upper)).all():
-            return _exchanged(A, w, lower, upper, unit)
-        lam = self._balanced(A, w, np.where(on, 0.0, lower), on, unit)
-        if self.split is Split.ONE or not (splits or Touch.SLIPS in touches):
-            return lam
-        if self.is_lawful(lam):
-            return lam
-        return self._shared(lam, A, w, bounds, touches)
-
-    def lawful(
-        self,
-        A: Array,
-        w: Array,
-        lower: Array,
-        upper: Array,
-        touches: Sequence[Touch],
-    ) -> Array:
-        """The multipliers that keep all laws, shape (m,).
-
-        Args:
-            A: As for `solve`.
-            w: As for `solve`.
-            lower: Smallest multipliers, those of contacts that may touch too, shape (m,).
-            upper: Largest ones, shape (m,).
-            touches: One entry a contact.
-
-        Raises:
-            SolveError: There are none.
-        """
-        acts = lower < upper
-        for start, touch in zip(self._starts.tolist(), touches, strict=True):
-            acts[start + 1 : start + 3] |= touch is Touch.MAY
-        on = np.flatnonzero(acts)
-        first = np.searchsorted(on, self._starts).tolist()
-        cones = tuple(
-            cone._replace(slots=slice(at, at + 3), mu=self.grip * cone.mu)
-            for cone, at, touch in zip(self._cones, first, touches, strict=True)
-            if touch is Touch.MAY
-        )
-        lam = np.where(acts, 0.0, lower)
-        own, rate = A[np.ix_(on, on)], (w + A.dot(lam))[on]
-        size = np.abs(own.diagonal())
-        speed = float((np.abs(rate) / np.sqrt(np.where(size > 0.0, size, 1.0))).max(initial=0.0))
-        names = [self._names[i] for i in on]
-        try:
-            problem = ContactProblem(own, own.diagonal(), names, cones)
-            lam[on] = problem.solve(rate, lower[on], upper[on], speed)
-        except SolveError as error:
-            slips = [at for at, touch in zip(first, touches, strict=True) if touch in _SLIPS]
-            if slips and _jams(own[np.ix_(slips, slips)]):
-                where = ", ".join(names[at] for at in slips)
-                raise JammedError(
-                    f"friction leaves {where} no consistent acceleration (Painlevé)"
-                ) from error
-            raise
-        return lam
-
-    def _shared(
-        self, lam: Array, A: Array, w: Array, bounds: tuple[Array, Array], touches: Sequence[Touch]
-    ) -> Array:
-        """A share of the same force among contacts that keeps their laws, if there is one."""
-        may = [_LAWS.get(touch, touch) for touch in touches]
-        lower, upper = bounds[0].copy(), bounds[1].copy()
-        for start, touch in zip(self._starts.tolist(), may, strict=True):
-            self._bound(lower, upper, start, touch)
-        self.split = Split.NONE
-        try:
-            found = self.lawful(A, w, lower, upper, may)
-        except SolveError:
-            return lam
-        left, terms = A.dot(found) + w, np.abs(A).dot(np.abs(found)) + np.abs(w)
-        size = np.sqrt(np.abs(A.diagonal()))
-        terms += size * (size * np.abs(found)).max()  # rounding of forces that cancel there
-        on = np.zeros(len(w), dtype=np.bool_)
-        for start, touch in zip(self._starts.tolist(), touches, strict=True):
-            on[start : start + 3] = touch is Touch.STICKS
-            on[start] |= touch is Touch.SLIPS
-        if (np.abs(left) > TIE * terms)[on].any():
-            return lam
-        self.split = Split.LAWFUL
-        return found
-
-    def _balanced(
-        self, A: Array, w: Array, bound: Array, on: NDArray[np.bool_], unit: Array
-    ) -> Array:
-        """The multipliers with w = 0 of rows that are on; the smallest where they are several."""
-        lam, rows = np.where(on, 0.0, bound), np.flatnonzero(on)
-        if not len(rows):
-            return lam
-        right = (w + A.dot(lam))[rows]
-        found, is_split = least_balanced(A[np.ix_(rows, rows)], right, unit[rows])
-        if is_split:
-            self.split = Split.LEAST
-        lam[rows] = found
-        return lam
-
-    def is_lawful(self, lam: Array) -> bool:
-        """Whether multipliers of contacts that touch push, inside their cones."""
-        push = lam[self._of_contacts].reshape(-1, 3)
-        slack = _WITHIN * float(np.abs(push).max(initial=0.0))
-        friction = np.sqrt(np.einsum("ij,ij->i", push[:, 1:], push[:, 1:]))
-        return bool((np.maximum(friction, 0.0) <= self._mu * push[:, 0] + slack).all())
-
-    def _units(self, A: Array) -> Array:
-        """Multipliers that change the rates of rows about alike, shape (m,)."""
-        size = np.abs(A.diagonal())
-        each = size[self._of_contacts].reshape(-1, 3)
-        each[:, 0] = each.max(axis=1)  # friction may take from the normal what it moves
-        size[self._of_contacts] = each.ravel()
-        still = size <= ZERO_ROW * float(size.max(initial=0.0))
-        return np.asarray(1.0 / np.sqrt(np.where(still, 1.0, size)))
-
-    @staticmethod
-    def _bound(lower: Array, upper: Array, start: int, touch: Touch) -> None:
-        """Set the bounds of the three rows of a contact."""
-        lower[start : start + 3], upper[start : start + 3] = 0.0, 0.0
-        if touch is Touch.STICKS:
-            lower[start : start + 3], upper[start : start + 3] = -np.inf, np.inf
-        elif touch is Touch.SLIPS:
-            lower[start], upper[start] = -np.inf, np.inf
-        elif touch is not Touch.OPEN:
-            upper[start] = np.inf
-
-
-_SLIPS = Touch.SLIPS, Touch.MAY_SLIP
-_LAWS = {Touch.STICKS: Touch.MAY, Touch.SLIPS: Touch.MAY_SLIP}
-
-
-def _exchanged(A: Array, w: Array, lower: Array, upper: Array, unit: Array) -> Array:
-    """Multipliers of rows that hold or are at a bound, for any A."""
-    still = A.diagonal() == 0.0
-    scaled = unit[:, None] * A * unit + np.diag(np.where(still, 1.0, 0.0))
-    found = exchanged(scaled, unit * w, lower / unit, upper / unit, solve=least_norm)
-    if found is None:
-        raise SolveError("no forces are found for a contact that slips and the rows beside it")
-    return unit * found
-
-
-def _jams(A: Array) -> bool:
-    """Whether normal forces of slips may have no solution: A is not a P-matrix.
-
-    Source: F. Génot, B. Brogliato, New results on Painlevé paradoxes, Eur. J. Mech. A 18, 1999.
-    """
-    n = len(A)
-    minors = (s for k in range(1, n + 1) for s in itertools.combinations(range(n), k))
-    return any(np.linalg.det(A[np.ix_(s, s)]) <= 0.0 for s in itertools.islice(minors, _MINORS))
-
-
-# ---- event contacts ---------------------------------------------------------------------------
-# Contacts with friction among rows that give way at events: open, sticking or slipping.
-
-
-_TOGETHER = 100.0  # times a slip that counts as none: those of others that end with it
-EASED = 1.0e-6  # of friction: so little less shows how contacts begin to move
-
-
-class Solved(NamedTuple):
-    """What rows that give way do at one state.
+class Balance(NamedTuple):
+    """What rows do in their mode.
 
     Attributes:
         lam: Their multipliers, shape (m,).
         force: Of these on all joints, shape (nv,).
-        added: Accelerations of all joints by it, shape (nv,).
+        a: Accelerations of all joints with it, shape (nv,).
         left: The w of the rows, shape (m,).
-        terms: Size of the terms in w, shape (m,).
+        is_split: Whether equations alone do not split the force; lam is then the least one.
+        moving: Slips that follow the velocity, by their contacts.
     """
 
     lam: Array
     force: Array
-    added: Array
+    a: Array
     left: Array
-    terms: Array
+    is_split: bool
+    moving: dict[int, Array]
 
 
 class ExactContacts:
@@ -624,3 +370,21 @@ class ExactContacts:
         for c, d in along.items():
             D[self._starts[c]] -= self.mu[c] * d.dot(J[self._tangents[c]])
         return D
+
+
+class Solved(NamedTuple):
+    """What rows that give way do at one state.
+
+    Attributes:
+        lam: Their multipliers, shape (m,).
+        force: Of these on all joints, shape (nv,).
+        added: Accelerations of all joints by it, shape (nv,).
+        left: The w of the rows, shape (m,).
+        terms: Size of the terms in w, shape (m,).
+    """
+
+    lam: Array
+    force: Array
+    added: Array
+    left: Array
+    terms: Array

@@ -1,4 +1,13 @@
-"""How far a state is from what rows that give way reach: gaps, slip velocities."""
+"""Distances of a state from what rows that give way reach: gaps g, slip velocities g'.
+
+    onto:   g = 0, then J v + dg/dt = 0 of the rows that are on, by the least motion in M
+
+A row may be on where its height is zero: the gap of a one-sided row, the slip of a row of
+velocities. A row without height, such as a drive that follows within its limit, is judged by its
+multiplier.
+"""
+
+from __future__ import annotations
 
 from enum import Enum
 from typing import TYPE_CHECKING, Any
@@ -14,23 +23,8 @@ from mbd_ros.core.thresholds import ON_SURFACE
 if TYPE_CHECKING:
     from mbd_ros.core.contact_modes.mode_equations import ExactContacts
 
-_CORRECTIONS = 4
+_CORRECTIONS = 4  # of a configuration
 _KNOWN = 4  # configurations: an event asks often at the start and the end of its step
-
-
-class Reach(Enum):
-    """What has to be zero before a row may be on."""
-
-    GAP = "gap"  # g, and g': one-sided rows of positions
-    SLIP = "slip"  # g': rows of velocities
-    DEMAND = "demand"  # g'' + kd g' + kp g: drives, which follow within their limit
-    FRICTION = "friction"  # the slip, where the normal before it is on
-
-
-def rounding(x: State) -> float:
-    """Height over a surface that counts as none."""
-    most = np.maximum.reduce  # as `max`, for a third less time
-    return ON_SURFACE * float(1.0 + max(most(np.abs(x.q)), most(np.abs(x.v))))
 
 
 class RowHeights:
@@ -50,7 +44,7 @@ class RowHeights:
         rows: ConstraintRows,
         at: NDArray[np.intp],
         reach: tuple[Reach, ...],
-        contacts: "ExactContacts | None",
+        contacts: ExactContacts | None,
     ) -> None:
         self._motion, self._rows, self._at = motion, rows, at
         self._contacts = contacts
@@ -201,12 +195,19 @@ class RowHeights:
         return tuple(ways.tolist()), on.nonzero()[0].tolist()
 
 
-def stiff(block: RowBlock) -> RowBlock:
-    """The block without gains, unless it is a drive: what is on is on exactly."""
-    if reach_of(block) is Reach.DEMAND:
-        return block
-    nothing = np.zeros(len(block.rows))
-    return block._replace(gains=(nothing, nothing))
+def rounding(x: State) -> float:
+    """Height over a surface that counts as none."""
+    most = np.maximum.reduce  # as `max`, for a third less time
+    return ON_SURFACE * float(1.0 + max(most(np.abs(x.q)), most(np.abs(x.v))))
+
+
+class Reach(Enum):
+    """What has to be zero before a row may be on."""
+
+    GAP = "gap"  # g, and g': one-sided rows of positions
+    SLIP = "slip"  # g': rows of velocities
+    DEMAND = "demand"  # g'' + kd g' + kp g: drives, which follow within their limit
+    FRICTION = "friction"  # the slip, where the normal before it is on
 
 
 def reach_of(block: RowBlock, own: int = 0) -> Reach:
@@ -221,3 +222,11 @@ def reach_of(block: RowBlock, own: int = 0) -> Reach:
     if block.level is Level.VELOCITY:
         return Reach.SLIP
     return Reach.GAP if block.law.kind is Kind.UNILATERAL else Reach.DEMAND
+
+
+def stiff(block: RowBlock) -> RowBlock:
+    """The block without gains, unless it is a drive: what is on is on exactly."""
+    if reach_of(block) is Reach.DEMAND:
+        return block
+    nothing = np.zeros(len(block.rows))
+    return block._replace(gains=(nothing, nothing))

@@ -1,11 +1,18 @@
-"""Quadratic programs and least squares in a box, by active sets.
+"""Quadratic programs in a box, by active sets.
 
     min 1/2 lam' A lam + b' lam   subject to   lower <= lam <= upper
 
-With w = A lam + b: w = 0 inside the bounds, w >= 0 at the lower one, w <= 0 at the upper one.
-Gauss's principle asks it of the multipliers of joint stops, dry friction and limited drives
-(`bounded_rows`), impacts that of impulses. Sources: P. Lötstedt, SIAM J. Sci. Stat. Comput. 5
-(1984); M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002), on the exchange of rows.
+With w = A lam + b the optimum is a complementarity: w = 0 inside the bounds, w >= 0 at the lower
+one, w <= 0 at the upper one. Gauss's principle asks it of the multipliers of joint stops, dry
+friction and limited drives (`bounded_rows`), impacts that of impulses.
+
+The functions at the end are what active-set methods share: A x + b = 0 in the free rows, x = bound
+in the others. A is symmetric and positive semidefinite. It is singular where rows depend on one
+another; each solve says what it gives then.
+
+Sources: P. Lötstedt, SIAM J. Sci. Stat. Comput. 5 (1984); M. Hintermüller, K. Ito, K. Kunisch,
+SIAM J. Optim. 13 (2002), on the exchange of rows; J. Nocedal, S. Wright, Numerical Optimization,
+2006, ch. 16; G. H. Golub, C. F. Van Loan, Matrix Computations, 2013, sec. 5.4 and 5.5, on ranks.
 """
 
 from collections.abc import Callable, Sequence
@@ -20,82 +27,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import FIXED_BY_OTHERS, NEARLY_SINGULAR, TINY, redundant
 from mbd_ros.errors import SolveError
 
-# ---- active set -------------------------------------------------------------------------------
-# What the active-set methods of this folder share: the rows that act, and solves on them.
-#
-#     A x + b = 0 in the free rows,   x = bound in the others
-#
-# A is symmetric and positive semidefinite. It is singular where rows depend on one another; each
-# solve below says what it gives then. Source: J. Nocedal, S. Wright, Numerical Optimization, 2006,
-# ch. 16; G. H. Golub, C. F. Van Loan, Matrix Computations, 2013, sec. 5.4 and 5.5, on ranks.
-
-
 Sides = NDArray[np.int8]  # 1 at a lower limit, -1 at an upper one, 0 between them
-
-
-def passed(values: Array, lower: Array, upper: Array, slack: float = 0.0) -> Sides:
-    """The limits that values pass by more than a slack; a negative slack tells who is near."""
-    below, above = values < lower - slack, values > upper + slack
-    return below.astype(np.int8) - (above & ~below)
-
-
-def factored(A: Array, r: Array) -> Array:
-    """The x with A x = r; where A is singular, what its factor leaves, for the caller to judge."""
-    return eigenpy.LDLT(A).solve(r).reshape(r.shape)  # eigenpy flattens one column
-
-
-def least_norm(A: Array, r: Array) -> Array:
-    """The x of smallest norm with A x nearest to r."""
-    return np.asarray(np.linalg.lstsq(A, r, rcond=redundant(len(A)))[0], dtype=np.float64)
-
-
-def on_active_set(
-    A: Array,
-    b: Array,
-    bound: Array,
-    free: NDArray[np.bool_],
-    solve: Callable[[Array, Array], Array] = factored,
-) -> Array:
-    """The x of the equations above, shape (n,)."""
-    rows = free.nonzero()[0]
-    if len(rows) == len(b):
-        return -solve(A, b)
-    x = np.where(free, 0.0, bound)
-    if len(rows):
-        A_rows = A[rows]
-        x[rows] = -solve(A_rows[:, rows], A_rows.dot(x) + b[rows])
-    return x
-
-
-def on_independent(rows: Array, bound: Array) -> tuple[Array, Array] | None:
-    """The smallest y with rows y = bound and its multipliers; None where rows depend on others."""
-    count, n = rows.shape
-    if count == 0:
-        return np.zeros(n), np.zeros(0)
-    if count > n:
-        return None
-    gram = eigenpy.LLT(rows.dot(rows.T))
-    if gram.info().name != "Success" or not gram.rcond() > NEARLY_SINGULAR:
-        return None
-    force = gram.solve(bound).reshape(-1)
-    return force.dot(rows), force
-
-
-def pseudo_inverse(rows: Array) -> Array:
-    """The pseudo-inverse; what is shorter than `FIXED_BY_OTHERS` counts as nothing."""
-    length = float(np.sqrt((rows * rows).sum(axis=0).max(initial=0.0)))
-    if not length > FIXED_BY_OTHERS:
-        return np.zeros(rows.shape[::-1])
-    factor = eigenpy.CompleteOrthogonalDecomposition(*rows.shape)
-    factor.setThreshold(FIXED_BY_OTHERS / length)
-    factor.compute(rows)
-    return factor.pseudoInverse().reshape(rows.shape[::-1])
-
-
-# ---- box qp -----------------------------------------------------------------------------------
-# The quadratic program in a box, whose optimum is complementarity.
-
-
 _SOLVED = 1.0e-9  # `complementarity_residual` that is accepted
 _POLISHED = 1.0e-12  # the same, below which a further step gains nothing
 _POLISH_STEPS = 10
@@ -104,22 +36,6 @@ _NOTHING = 1.0e-12  # terms of that size are none
 _DWARFS = 1.0e5
 _EXCHANGES = 6
 _EXACT = 1.0e-11  # complementarity residual of the right active set, relative
-
-
-class Statistics(NamedTuple):
-    """How the solves of a `BoxQp` went.
-
-    Attributes:
-        solves: Problems that reached the solver.
-        cold: Those that needed a restart from nothing.
-        damped: Those that needed damping.
-        failed: Those that none of it solved.
-    """
-
-    solves: int = 0
-    cold: int = 0
-    damped: int = 0
-    failed: int = 0
 
 
 class BoxQp:
@@ -175,6 +91,96 @@ class BoxQp:
         raise SolveError(f"QP not solved: complementarity residual {residual:.1e}")
 
 
+def _polished(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> Array:
+    """The exact solution near lam, by Newton's method on the natural residual; else the best.
+
+    Source: Hintermüller, Ito, Kunisch, SIAM J. Optim. 13 (2002), the primal-dual active set.
+    """
+
+    def kept(lam: Array) -> Array:
+        return np.minimum(np.maximum(lam, lower), upper)
+
+    diagonal, none = np.maximum(A.diagonal(), TINY), np.zeros(len(b))
+    best, least = lam, complementarity_residual(A, b, lower, upper, lam)
+    for _ in range(_POLISH_STEPS):
+        if least <= _POLISHED:
+            break
+        stepped = kept(lam - (A.dot(lam) + b) / diagonal)
+        free = (stepped > lower) & (stepped < upper)
+        lam = kept(on_active_set(A, b, stepped, free))
+        residual = complementarity_residual(A, b, lower, upper, lam)
+        if residual > _POLISHED:  # singular: the shortest way from where it is
+            left = A.dot(stepped) + b
+            lam = kept(stepped + on_active_set(A, left, none, free, least_norm))
+            residual = complementarity_residual(A, b, lower, upper, lam)
+        if residual > _SOLVED:  # rows that ask for different things: one of them gives way
+            lam = _descended(A, b, lower, upper, lam, free)
+            residual = complementarity_residual(A, b, lower, upper, lam)
+        if residual < least:
+            best, least = lam, residual
+    return best
+
+
+def factored(A: Array, r: Array) -> Array:
+    """The x with A x = r; where A is singular, what its factor leaves, for the caller to judge."""
+    return eigenpy.LDLT(A).solve(r).reshape(r.shape)  # eigenpy flattens one column
+
+
+def on_active_set(
+    A: Array,
+    b: Array,
+    bound: Array,
+    free: NDArray[np.bool_],
+    solve: Callable[[Array, Array], Array] = factored,
+) -> Array:
+    """The x of the equations above, shape (n,)."""
+    rows = free.nonzero()[0]
+    if len(rows) == len(b):
+        return -solve(A, b)
+    x = np.where(free, 0.0, bound)
+    if len(rows):
+        A_rows = A[rows]
+        x[rows] = -solve(A_rows[:, rows], A_rows.dot(x) + b[rows])
+    return x
+
+
+def least_norm(A: Array, r: Array) -> Array:
+    """The x of smallest norm with A x nearest to r."""
+    return np.asarray(np.linalg.lstsq(A, r, rcond=redundant(len(A)))[0], dtype=np.float64)
+
+
+def _descended(
+    A: Array, b: Array, lower: Array, upper: Array, lam: Array, free: NDArray[np.bool_]
+) -> Array:
+    """Along the gradient of the free rows, to the least value or to the first bound.
+
+    Where A is singular in that direction, only a bound ends it: a joint that sticks at its stop
+    has two rows on one axis, of which one is to reach its bound.
+    """
+    way = np.where(free, -(A.dot(lam) + b), 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        room = np.where(way > 0.0, upper - lam, lower - lam) / way
+        least = way.dot(way) / max(float(way.dot(A.dot(way))), 0.0)
+    step = min(float(room[way != 0.0].min(initial=np.inf)), float(least))
+    return np.minimum(np.maximum(lam + step * way, lower), upper) if step < np.inf else lam
+
+
+def complementarity_residual(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> float:
+    """Largest violation of the optimality conditions, relative to the terms in A lam + b.
+
+    It is the natural residual: how far a gradient step, kept in the bounds, moves. Multipliers
+    whose terms dwarf b come from a singular factor, and do not excuse what they leave.
+    """
+    given = np.abs(b)
+    terms = np.abs(A).dot(np.abs(lam))
+    size = np.minimum(terms, _DWARFS * given.max(initial=0.0)) + given + _NOTHING
+    diagonal = np.maximum(A.diagonal(), TINY)
+    step = (A.dot(lam) + b) / diagonal  # kept apart from lam, which might swallow it
+    moved = np.minimum(np.maximum(step, lam - upper), lam - lower) * diagonal
+    worst = float((np.abs(moved) / size).max())
+    return worst if worst < np.inf else np.inf
+
+
 def exchanged(
     A: Array,
     b: Array,
@@ -206,236 +212,48 @@ def exchanged(
     return None
 
 
-def complementarity_residual(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> float:
-    """Largest violation of the optimality conditions, relative to the terms in A lam + b.
-
-    It is the natural residual: how far a gradient step, kept in the bounds, moves. Multipliers
-    whose terms dwarf b come from a singular factor, and do not excuse what they leave.
-    """
-    given = np.abs(b)
-    terms = np.abs(A).dot(np.abs(lam))
-    size = np.minimum(terms, _DWARFS * given.max(initial=0.0)) + given + _NOTHING
-    diagonal = np.maximum(A.diagonal(), TINY)
-    step = (A.dot(lam) + b) / diagonal  # kept apart from lam, which might swallow it
-    moved = np.minimum(np.maximum(step, lam - upper), lam - lower) * diagonal
-    worst = float((np.abs(moved) / size).max())
-    return worst if worst < np.inf else np.inf
-
-
-def _polished(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> Array:
-    """The exact solution near lam, by Newton's method on the natural residual; else the best.
-
-    Source: Hintermüller, Ito, Kunisch, SIAM J. Optim. 13 (2002), the primal-dual active set.
-    """
-
-    def kept(lam: Array) -> Array:
-        return np.minimum(np.maximum(lam, lower), upper)
-
-    diagonal, none = np.maximum(A.diagonal(), TINY), np.zeros(len(b))
-    best, least = lam, complementarity_residual(A, b, lower, upper, lam)
-    for _ in range(_POLISH_STEPS):
-        if least <= _POLISHED:
-            break
-        stepped = kept(lam - (A.dot(lam) + b) / diagonal)
-        free = (stepped > lower) & (stepped < upper)
-        lam = kept(on_active_set(A, b, stepped, free))
-        residual = complementarity_residual(A, b, lower, upper, lam)
-        if residual > _POLISHED:  # singular: the shortest way from where it is
-            left = A.dot(stepped) + b
-            lam = kept(stepped + on_active_set(A, left, none, free, least_norm))
-            residual = complementarity_residual(A, b, lower, upper, lam)
-        if residual > _SOLVED:  # rows that ask for different things: one of them gives way
-            lam = _descended(A, b, lower, upper, lam, free)
-            residual = complementarity_residual(A, b, lower, upper, lam)
-        if residual < least:
-            best, least = lam, residual
-    return best
-
-
-def _descended(
-    A: Array, b: Array, lower: Array, upper: Array, lam: Array, free: NDArray[np.bool_]
-) -> Array:
-    """Along the gradient of the free rows, to the least value or to the first bound.
-
-    Where A is singular in that direction, only a bound ends it: a joint that sticks at its stop
-    has two rows on one axis, of which one is to reach its bound.
-    """
-    way = np.where(free, -(A.dot(lam) + b), 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        room = np.where(way > 0.0, upper - lam, lower - lam) / way
-        least = way.dot(way) / max(float(way.dot(A.dot(way))), 0.0)
-    step = min(float(room[way != 0.0].min(initial=np.inf)), float(least))
-    return np.minimum(np.maximum(lam + step * way, lower), upper) if step < np.inf else lam
-
-
-# ---- bounded least squares --------------------------------------------------------------------
-# A least-squares problem in a box, with rows that yield: slow, but it always has an answer.
-#
-#     min 1/2 |E x|² + 1/2 |excess of C x over its limits|² / compliance,   lower <= x <= upper
-#
-# `hard_soft_qp` falls back on it where ProxQP does not find which limits act.
-# Source: P. Stark, R. Parker, Computational Statistics 10 (1995), on bounds.
-
-
-COMPLIANCES = (1.0e-2, 1.0e-5, 1.0e-8, 1.0e-11)
-_EVENTS = 60  # for each compliance
-_PULLS = 1.0e-9  # of the largest slope: one with which a bound holds nothing
-
-
-class BoundedLeastSquares:
-    """The problem above for compliances that fall to the last of `COMPLIANCES`.
-
-    This is a primal active-set method. It goes from one point of the box towards the least cost
-    on the bounds that hold and the rows that are passed, up to the first bound or limit.
-
-    Args:
-        E: Square, regular, shape (n, n).
-        C: Rows that yield, shape (k, n).
-        low: Their limits, shape (k,), -inf without one.
-        high: Same, inf without one.
-    """
-
-    def __init__(self, E: Array, C: Array, low: Array, high: Array) -> None:
-        self._E, self._C, self._low, self._high = E, C, low, high
-        self._all = np.concatenate([np.eye(len(E)), C])
-
-    def solve(self, lower: Array, upper: Array) -> Array:
-        """The x of least cost in the box, or what is left of the way to it, shape (n,)."""
-        x = np.clip(np.zeros(len(lower)), lower, upper)
-        for compliance in COMPLIANCES:
-            x = self._descended(x, lower, upper, compliance**-0.5)
-        return x
-
-    def _descended(self, x: Array, lower: Array, upper: Array, stiffness: float) -> Array:
-        side = passed(self._C.dot(x), self._low, self._high)
-        held = (x <= lower) | (x >= upper)
-        for _ in range(_EVENTS):
-            r, A = self._residuals(x, side, stiffness)
-            step, free = np.zeros(len(x)), (~held).nonzero()[0]
-            step[free] = np.linalg.lstsq(A[:, free], -r, rcond=None)[0]
-            begin, end = self._pieces(side)
-            moves, ends = self._all.dot(step), (np.append(lower, begin), np.append(upper, end))
-            share = _way(self._all.dot(x), moves, *ends)
-            first = int(share.argmin())
-            x = np.clip(x + min(float(share[first]), 1.0) * step, lower, upper)
-            if share[first] < 1.0:
-                i = first - len(x)
-                if i < 0:
-                    held[first] = True
-                else:
-                    side[i] = 0 if side[i] else -np.sign(moves[first])
-                continue
-            r, A = self._residuals(x, side, stiffness)
-            slope = A.T.dot(r)
-            pull = np.where(held, np.where(x <= lower, -slope, slope), 0.0)
-            pull[lower >= upper] = 0.0
-            if pull.max() <= _PULLS * np.abs(slope).max():
-                break
-            held[pull.argmax()] = False
-        return x
-
-    def _residuals(self, x: Array, side: Sides, stiffness: float) -> tuple[Array, Array]:
-        rows = side.nonzero()[0]
-        limit = np.where(side > 0, self._low, self._high)[rows]
-        excess = self._C[rows].dot(x) - limit
-        A = np.concatenate([self._E, stiffness * self._C[rows]])
-        return np.concatenate([self._E.dot(x), stiffness * excess]), A
-
-    def _pieces(self, side: Sides) -> tuple[Array, Array]:
-        """Where the quadratic that each row is on begins and ends."""
-        begin = np.where(side == 0, self._low, np.where(side < 0, self._high, -np.inf))
-        end = np.where(side == 0, self._high, np.where(side > 0, self._low, np.inf))
-        return begin, end
-
-
-def _way(x: Array, step: Array, begin: Array, end: Array) -> Array:
-    """Share of the step that each value may go, inf without an end."""
-    ahead = np.where(step > 0.0, end - x, begin - x)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        share = np.where(step == 0.0, np.inf, ahead / step)
-    return np.maximum(share, 0.0)
-
-
-# ---- batch box qp -----------------------------------------------------------------------------
-# Many small quadratic programs at once: moves in boxes, with rows that are kept.
-#
-#     min 1/2 p' H p + g' p   subject to   low <= p <= high,   A p = b
-#
-# one problem a frame. Bounds are exchanged all at once, as a primal-dual active set does. Source:
-# M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002). Where that does not settle, the
-# last
-# move is cut to the box; whoever asks judges a move by what it gains.
-
-
-_BATCH_BOX_QP_EXCHANGES = 12
-_SOFT = 1.0e-13  # of the largest entry: what keeps dependent rows solvable
-
-
-class Moves(NamedTuple):
-    """Answers, one a frame.
+class Statistics(NamedTuple):
+    """How the solves of a `BoxQp` went.
 
     Attributes:
-        p: Moves, shape (N, n).
-        nu: Multipliers of the rows, H p + g + A' nu = force of bounds, shape (N, m).
-        force: Of the bounds, > 0 at a lower one, shape (N, n).
+        solves: Problems that reached the solver.
+        cold: Those that needed a restart from nothing.
+        damped: Those that needed damping.
+        failed: Those that none of it solved.
     """
 
-    p: Array
-    nu: Array
-    force: Array
+    solves: int = 0
+    cold: int = 0
+    damped: int = 0
+    failed: int = 0
 
 
-def box_moves(
-    H: Array, g: Array, low: Array, high: Array, A: Array | None = None, b: Array | None = None
-) -> Moves:
-    """Solve them.
-
-    Args:
-        H: Regular matrices, shape (N, n, n).
-        g: Slopes, shape (N, n).
-        low: Lower bounds of moves, <= 0, shape (N, n).
-        high: Upper bounds, >= 0, shape (N, n).
-        A: Rows, shape (N, m, n).
-        b: What they ask for, shape (N, m).
-    """
-    at_low, at_high = (np.zeros(g.shape, dtype=np.bool_) for _ in range(2))
-    for _ in range(_BATCH_BOX_QP_EXCHANGES):
-        p, nu = _solved(H, g, np.where(at_low, low, high), at_low | at_high, A, b)
-        force = (H @ p[:, :, None])[:, :, 0] + g
-        if A is not None:
-            force += (nu[:, None, :] @ A)[:, 0]
-        below = np.where(at_low, force > 0.0, p < low)
-        above = np.where(at_high, force < 0.0, p > high)
-        if (below == at_low).all() and (above == at_high).all():
-            break
-        at_low, at_high = below, above & ~below
-    force[~(at_low | at_high)] = 0.0
-    return Moves(np.minimum(np.maximum(p, low), high), nu, force)
+def passed(values: Array, lower: Array, upper: Array, slack: float = 0.0) -> Sides:
+    """The limits that values pass by more than a slack; a negative slack tells who is near."""
+    below, above = values < lower - slack, values > upper + slack
+    return below.astype(np.int8) - (above & ~below)
 
 
-def _solved(
-    H: Array, g: Array, bound: Array, held: NDArray[np.bool_], A: Array | None, b: Array | None
-) -> tuple[Array, Array]:
-    """Moves with some of them held at a bound, and the multipliers of the rows."""
-    N, n = g.shape
-    K, right = H, -g
-    if held.any():
-        p = np.where(held, bound, 0.0)
-        right = np.where(held, p, right - (H @ p[:, :, None])[:, :, 0])
-        K = np.where(held[:, :, None] | held[:, None, :], 0.0, H)
-        K[:, range(n), range(n)] += held
-    if A is None or b is None:
-        p = np.array(np.linalg.solve(K, right[:, :, None])[:, :, 0], dtype=np.float64)
-        return p, np.zeros((N, 0))
-    m = A.shape[1]
-    whole = np.zeros((N, n + m, n + m))
-    free = A
-    if held.any():
-        b = b - (A @ p[:, :, None])[:, :, 0]
-        free = np.where(held[:, None, :], 0.0, A)
-    whole[:, :n, :n], whole[:, n:, :n], whole[:, :n, n:] = K, free, free.transpose(0, 2, 1)
-    soft = _SOFT * np.abs(A).max(axis=(1, 2)) ** 2 / np.abs(H).max(axis=(1, 2))
-    whole[:, range(n, n + m), range(n, n + m)] = -soft[:, None]
-    right = np.concatenate((right, b), axis=1)[:, :, None]
-    found = np.array(np.linalg.solve(whole, right)[:, :, 0], dtype=np.float64)
-    return found[:, :n], found[:, n:]
+def on_independent(rows: Array, bound: Array) -> tuple[Array, Array] | None:
+    """The smallest y with rows y = bound and its multipliers; None where rows depend on others."""
+    count, n = rows.shape
+    if count == 0:
+        return np.zeros(n), np.zeros(0)
+    if count > n:
+        return None
+    gram = eigenpy.LLT(rows.dot(rows.T))
+    if gram.info().name != "Success" or not gram.rcond() > NEARLY_SINGULAR:
+        return None
+    force = gram.solve(bound).reshape(-1)
+    return force.dot(rows), force
+
+
+def pseudo_inverse(rows: Array) -> Array:
+    """The pseudo-inverse; what is shorter than `FIXED_BY_OTHERS` counts as nothing."""
+    length = float(np.sqrt((rows * rows).sum(axis=0).max(initial=0.0)))
+    if not length > FIXED_BY_OTHERS:
+        return np.zeros(rows.shape[::-1])
+    factor = eigenpy.CompleteOrthogonalDecomposition(*rows.shape)
+    factor.setThreshold(FIXED_BY_OTHERS / length)
+    factor.compute(rows)
+    return factor.pseudoInverse().reshape(rows.shape[::-1])

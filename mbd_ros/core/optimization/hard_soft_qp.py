@@ -1,21 +1,23 @@
-"""Quadratic programs with bounded rows, hard and soft.
+"""The smallest vector within hard and soft limits; soft ones give way where not all can be kept.
 
     min 1/2 |y|²   subject to   lower <= G y <= upper
 
 The first n rows of G, a regular matrix, are hard. Where the soft rows cannot be kept beside them,
 their excess is the least possible: sum (excess / |row|)² first, |y|² among what attains it.
 `controllers/qp_tracking` asks it: drives have hard limits, motion of joints has soft ones.
+
+`candidate` is the exact optimum on given acting limits: the hard rows first, then the least excess
+of the soft rows, then the smallest y, by ranks. `HardSoftQp` finds which limits act.
 Source: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research 33(7) (2014), on that order.
 """
 
-from collections.abc import Iterator
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
-import eigenpy
 import numpy as np
 
 from mbd_ros.core.optimization.box_qp import (
-    BoundedLeastSquares,
     Sides,
     on_independent,
     passed,
@@ -26,123 +28,14 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CLOSED_GAP, FIXED_BY_OTHERS, TINY
 from mbd_ros.errors import SolveError
 
-# ---- hard soft optimum ------------------------------------------------------------------------
-# The exact optimum of `hard_soft_qp` on given acting limits, and whether these are right.
-#
-# Equality-constrained least norm by ranks: the hard rows first, then the least excess of the soft
-# rows, then the smallest y. Source: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research
-# 33(7) (2014).
-
-
 _NO_EXCESS = 1.0e-10  # of the largest gap
-
-
-class Candidate(NamedTuple):
-    """What follows from the limits that are said to act.
-
-    Attributes:
-        y: The optimum if they are the right ones, shape (n,).
-        side: Limits to try next: those that would pull have left, those that y passes have
-            joined; 1 for a lower limit, -1 for an upper one, else 0, shape (m,).
-        is_softened: Whether soft rows give way.
-        is_optimal: Whether no limit changed: y is the optimum.
-    """
-
-    y: Array
-    side: Sides
-    is_softened: bool
-    is_optimal: bool
-
-
-def candidate(
-    G: Array, lower: Array, upper: Array, side: Sides, hard: int, size: float
-) -> Candidate:
-    """The smallest y on the limits that act.
-
-    Args:
-        G: Rows of length one, the hard ones first, shape (m, n).
-        lower: Shape (m,).
-        upper: Same.
-        side: Limits that act, shape (m,).
-        hard: Number of hard rows.
-        size: The largest gap at y = 0.
-    """
-    bound = np.where(side > 0, lower, upper)
-    side = np.where(np.isfinite(bound), side, 0).astype(np.int8)
-    acting = side.nonzero()[0]
-    rows, signs, bound = G[acting], side[acting], bound[acting]
-    found = on_independent(rows, bound)
-    is_softened = False
-    if found is None:
-        first = int(np.searchsorted(acting, hard))
-        y, force, is_softened = _on_dependent(rows, bound, first, size)
-    else:
-        y, force = found
-    after, reached, slack = side.copy(), G.dot(y), CLOSED_GAP * size
-    pulls = (force * signs < 0.0) & (lower[acting] < upper[acting])
-    after[acting[pulls]] = 0
-    idle = side == 0
-    after[idle] = passed(reached, lower, upper, slack)[idle]
-    is_optimal = bool((after == side).all() and np.isfinite(y).all())
-    return Candidate(y, after, is_softened, is_optimal)
-
-
-def _on_dependent(rows: Array, bound: Array, hard: int, size: float) -> tuple[Array, Array, bool]:
-    """The smallest y of those with the least |soft rows y - bound| of those on the hard rows.
-
-    The second result has the sign of the multiplier of each row. The multipliers of the least
-    excess decide it; where they leave a row idle, those of the least |y| do. The third result
-    says whether there is an excess.
-    """
-    H, S = rows[:hard], rows[hard:]
-    onto_hard = pseudo_inverse(H)
-    y = onto_hard.dot(bound[:hard])
-    y = y + pseudo_inverse(S - S.dot(onto_hard).dot(H)).dot(bound[hard:] - S.dot(y))
-    excess = bound[hard:] - S.dot(y)
-    excess = np.where(np.abs(excess) > _NO_EXCESS * size, excess, 0.0)
-    held = -onto_hard.T.dot(excess.dot(S))
-    force = np.concatenate([held, excess])
-    force = np.where(np.abs(force) > _NO_EXCESS * size, force, 0.0)
-    idle = force == 0.0
-    if idle.any():
-        fixed, others = rows[~idle], rows[idle]
-        onto_fixed = pseudo_inverse(fixed)
-        others = others - others.dot(onto_fixed).dot(fixed)
-        least = pseudo_inverse(others).T.dot(y - onto_fixed.dot(fixed.dot(y)))
-        force[idle] = np.where(np.abs(least) > CLOSED_GAP * size, least, 0.0)
-    return y, force, bool(excess.any())
-
-
-# ---- hard soft qp -----------------------------------------------------------------------------
-# The smallest vector within hard and soft limits; soft ones give way where not all can be kept.
-
-
 _COMPLIANCE = 1.0e-6  # of a soft row of length one
 _ACTS = 1.0e-7  # multiplier of a limit that acts; the largest gap is 1
 _AT_LIMIT = 1.0e-9  # of the largest gap
 _CHANGES = 4  # of the acting limits on one rung
-
-
-class Counts(NamedTuple):
-    """How the solves of a `HardSoftQp` went.
-
-    Attributes:
-        solves: Problems in all.
-        softened: Those whose soft rows cannot all be kept.
-        qp: Those that reached ProxQP.
-        cold: Those that needed a restart from nothing.
-        boxed: Those that ProxQP did not solve.
-        damped: Those that end with soft rows that yield a little more than they must.
-        failed: Those without an answer.
-    """
-
-    solves: int = 0
-    softened: int = 0
-    qp: int = 0
-    cold: int = 0
-    boxed: int = 0
-    damped: int = 0
-    failed: int = 0
+COMPLIANCES = (1.0e-2, 1.0e-5, 1.0e-8, 1.0e-11)
+_EVENTS = 60  # for each compliance
+_PULLS = 1.0e-9  # of the largest slope: one with which a bound holds nothing
 
 
 class HardSoftQp:
@@ -256,6 +149,82 @@ class HardSoftQp:
         return Candidate(y, side, is_softened, False)
 
 
+def candidate(
+    G: Array, lower: Array, upper: Array, side: Sides, hard: int, size: float
+) -> Candidate:
+    """The smallest y on the limits that act.
+
+    Args:
+        G: Rows of length one, the hard ones first, shape (m, n).
+        lower: Shape (m,).
+        upper: Same.
+        side: Limits that act, shape (m,).
+        hard: Number of hard rows.
+        size: The largest gap at y = 0.
+    """
+    bound = np.where(side > 0, lower, upper)
+    side = np.where(np.isfinite(bound), side, 0).astype(np.int8)
+    acting = side.nonzero()[0]
+    rows, signs, bound = G[acting], side[acting], bound[acting]
+    found = on_independent(rows, bound)
+    is_softened = False
+    if found is None:
+        first = int(np.searchsorted(acting, hard))
+        y, force, is_softened = _on_dependent(rows, bound, first, size)
+    else:
+        y, force = found
+    after, reached, slack = side.copy(), G.dot(y), CLOSED_GAP * size
+    pulls = (force * signs < 0.0) & (lower[acting] < upper[acting])
+    after[acting[pulls]] = 0
+    idle = side == 0
+    after[idle] = passed(reached, lower, upper, slack)[idle]
+    is_optimal = bool((after == side).all() and np.isfinite(y).all())
+    return Candidate(y, after, is_softened, is_optimal)
+
+
+def _on_dependent(rows: Array, bound: Array, hard: int, size: float) -> tuple[Array, Array, bool]:
+    """The smallest y of those with the least |soft rows y - bound| of those on the hard rows.
+
+    The second result has the sign of the multiplier of each row. The multipliers of the least
+    excess decide it; where they leave a row idle, those of the least |y| do. The third result
+    says whether there is an excess.
+    """
+    H, S = rows[:hard], rows[hard:]
+    onto_hard = pseudo_inverse(H)
+    y = onto_hard.dot(bound[:hard])
+    y = y + pseudo_inverse(S - S.dot(onto_hard).dot(H)).dot(bound[hard:] - S.dot(y))
+    excess = bound[hard:] - S.dot(y)
+    excess = np.where(np.abs(excess) > _NO_EXCESS * size, excess, 0.0)
+    held = -onto_hard.T.dot(excess.dot(S))
+    force = np.concatenate([held, excess])
+    force = np.where(np.abs(force) > _NO_EXCESS * size, force, 0.0)
+    idle = force == 0.0
+    if idle.any():
+        fixed, others = rows[~idle], rows[idle]
+        onto_fixed = pseudo_inverse(fixed)
+        others = others - others.dot(onto_fixed).dot(fixed)
+        least = pseudo_inverse(others).T.dot(y - onto_fixed.dot(fixed.dot(y)))
+        force[idle] = np.where(np.abs(least) > CLOSED_GAP * size, least, 0.0)
+    return y, force, bool(excess.any())
+
+
+class Candidate(NamedTuple):
+    """What follows from the limits that are said to act.
+
+    Attributes:
+        y: The optimum if they are the right ones, shape (n,).
+        side: Limits to try next: those that would pull have left, those that y passes have
+            joined; 1 for a lower limit, -1 for an upper one, else 0, shape (m,).
+        is_softened: Whether soft rows give way.
+        is_optimal: Whether no limit changed: y is the optimum.
+    """
+
+    y: Array
+    side: Sides
+    is_softened: bool
+    is_optimal: bool
+
+
 def _boxed(G: Array, lower: Array, upper: Array, size: float) -> tuple[Array, Sides, bool]:
     """The y where stiff soft rows yield, its limits, and whether it passes one; hard rows hold."""
     n = G.shape[1]
@@ -267,118 +236,102 @@ def _boxed(G: Array, lower: Array, upper: Array, size: float) -> tuple[Array, Si
     return y, passed(reached, lower, upper, -slack), is_softened
 
 
-# ---- row bounded qp ---------------------------------------------------------------------------
-# A strictly convex quadratic program with bounded rows, exact on the rows that act.
-#
-#     min 1/2 x' H x + g' x   subject to   lower <= C x <= upper
-#
-# Most answers of an estimator violate no row, and are then one solve. Otherwise a kept ProxQP
-# finds
-# the rows that act; an answer is solved for on them, and rows are exchanged until the conditions
-# of
-# the optimum hold. Source: J. Nocedal, S. Wright, Numerical Optimization, 2006, ch. 16.
+class BoundedLeastSquares:
+    """A least-squares problem in a box, with rows that yield: slow, but it always has an answer.
 
+        min 1/2 |E x|² + 1/2 |excess of C x over its limits|² / compliance,   lower <= x <= upper
 
-_EXCHANGES = 30
-_KEPT = 1.0e-10  # what a row may be beyond its bound, of its size
-_PUSHES = 1.0e-12  # multipliers of that size are none, of the largest
+    for compliances that fall to the last of `COMPLIANCES`. A primal active-set method goes from
+    one point of the box towards the least cost on the bounds that hold and the rows that are
+    passed, up to the first bound or limit.
 
+    Args:
+        E: Square, regular, shape (n, n).
+        C: Rows that yield, shape (k, n).
+        low: Their limits, shape (k,), -inf without one.
+        high: Same, inf without one.
 
-class Optimum(NamedTuple):
-    """The answer of a quadratic program.
-
-    Attributes:
-        x: Where it is, shape (n,).
-        multipliers: Of the rows, positive at a lower bound, shape (m,).
-        residual: Largest violation of the conditions of the optimum, relative.
+    Source: P. Stark, R. Parker, Computational Statistics 10 (1995), on bounds.
     """
 
-    x: Array
-    multipliers: Array
-    residual: float
+    def __init__(self, E: Array, C: Array, low: Array, high: Array) -> None:
+        self._E, self._C, self._low, self._high = E, C, low, high
+        self._all = np.concatenate([np.eye(len(E)), C])
+
+    def solve(self, lower: Array, upper: Array) -> Array:
+        """The x of least cost in the box, or what is left of the way to it, shape (n,)."""
+        x = np.clip(np.zeros(len(lower)), lower, upper)
+        for compliance in COMPLIANCES:
+            x = self._descended(x, lower, upper, compliance**-0.5)
+        return x
+
+    def _descended(self, x: Array, lower: Array, upper: Array, stiffness: float) -> Array:
+        side = passed(self._C.dot(x), self._low, self._high)
+        held = (x <= lower) | (x >= upper)
+        for _ in range(_EVENTS):
+            r, A = self._residuals(x, side, stiffness)
+            step, free = np.zeros(len(x)), (~held).nonzero()[0]
+            step[free] = np.linalg.lstsq(A[:, free], -r, rcond=None)[0]
+            begin, end = self._pieces(side)
+            moves, ends = self._all.dot(step), (np.append(lower, begin), np.append(upper, end))
+            share = _way(self._all.dot(x), moves, *ends)
+            first = int(share.argmin())
+            x = np.clip(x + min(float(share[first]), 1.0) * step, lower, upper)
+            if share[first] < 1.0:
+                i = first - len(x)
+                if i < 0:
+                    held[first] = True
+                else:
+                    side[i] = 0 if side[i] else -np.sign(moves[first])
+                continue
+            r, A = self._residuals(x, side, stiffness)
+            slope = A.T.dot(r)
+            pull = np.where(held, np.where(x <= lower, -slope, slope), 0.0)
+            pull[lower >= upper] = 0.0
+            if pull.max() <= _PULLS * np.abs(slope).max():
+                break
+            held[pull.argmax()] = False
+        return x
+
+    def _residuals(self, x: Array, side: Sides, stiffness: float) -> tuple[Array, Array]:
+        rows = side.nonzero()[0]
+        limit = np.where(side > 0, self._low, self._high)[rows]
+        excess = self._C[rows].dot(x) - limit
+        A = np.concatenate([self._E, stiffness * self._C[rows]])
+        return np.concatenate([self._E.dot(x), stiffness * excess]), A
+
+    def _pieces(self, side: Sides) -> tuple[Array, Array]:
+        """Where the quadratic that each row is on begins and ends."""
+        begin = np.where(side == 0, self._low, np.where(side < 0, self._high, -np.inf))
+        end = np.where(side == 0, self._high, np.where(side > 0, self._low, np.inf))
+        return begin, end
 
 
-class RowBoundedQp:
-    """Solves the problem above, for rows and sizes that change from call to call."""
+def _way(x: Array, step: Array, begin: Array, end: Array) -> Array:
+    """Share of the step that each value may go, inf without an end."""
+    ahead = np.where(step > 0.0, end - x, begin - x)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(step == 0.0, np.inf, ahead / step)
+    return np.maximum(share, 0.0)
 
-    def __init__(self) -> None:
-        self._solver: KeptProxQp | None = None
-        self._size = (0, 0)
-        self._last: Sides | None = None
 
-    def solve(self, H: Array, g: Array, C: Array, lower: Array, upper: Array) -> Optimum:
-        """The optimum.
+class Counts(NamedTuple):
+    """How the solves of a `HardSoftQp` went.
 
-        Args:
-            H: Positive definite, shape (n, n).
-            g: Shape (n,).
-            C: Shape (m, n).
-            lower: Shape (m,), -inf without.
-            upper: Shape (m,), inf without.
+    Attributes:
+        solves: Problems in all.
+        softened: Those whose soft rows cannot all be kept.
+        qp: Those that reached ProxQP.
+        cold: Those that needed a restart from nothing.
+        boxed: Those that ProxQP did not solve.
+        damped: Those that end with soft rows that yield a little more than they must.
+        failed: Those without an answer.
+    """
 
-        Raises:
-            SolveError: H is not positive definite, or no x keeps all rows.
-        """
-        factor = eigenpy.LLT(H)
-        if factor.info() != eigenpy.ComputationInfo.Success or (lower > upper).any():
-            raise SolveError("the quadratic program is not convex, or a lower bound is above")
-        free = -factor.solve(g).ravel()
-        slack = _KEPT * (1.0 + np.abs(C).max(initial=0.0) * np.abs(free).max(initial=0.0))
-        if not passed(C.dot(free), lower, upper, slack).any():
-            self._last = None
-            return Optimum(free, np.zeros(len(C)), 0.0)
-        for sides in self._guesses(H, g, C, lower, upper):
-            found = self._exchanged(factor, free, C, lower, upper, sides, slack)
-            if found is not None:
-                return found
-        raise SolveError("the bounds of the quadratic program contradict one another")
-
-    def _guesses(
-        self, H: Array, g: Array, C: Array, lower: Array, upper: Array
-    ) -> Iterator[Sides]:
-        """Rows that may act: those of the last answer, then those of ProxQP."""
-        if self._last is not None and len(self._last) == len(C):
-            yield self._last
-        n, m = H.shape[0], len(C)
-        if self._solver is None or self._size != (n, m):
-            self._solver, self._size = KeptProxQp(n, m), (n, m)
-        none = np.full(n, np.inf)
-        for cold in (False, True):
-            x = self._solver.solve(H, g, -none, none, (C, lower, upper), cold=cold)
-            if np.isfinite(x).all():
-                near = 1.0e-6 * (1.0 + float(np.abs(x).max(initial=0.0)))
-                yield passed(C.dot(x), lower, upper, -near)
-
-    def _exchanged(
-        self,
-        factor: Any,
-        free: Array,
-        C: Array,
-        lower: Array,
-        upper: Array,
-        sides: Sides,
-        slack: float,
-    ) -> Optimum | None:
-        """The optimum from a guess of the rows that act; None where exchanges do not end."""
-        sides = sides.copy()
-        for _ in range(_EXCHANGES):
-            acts = sides.nonzero()[0]
-            bound = np.where(sides > 0, lower, upper)[acts]
-            X = factor.solve(C[acts].T).reshape(-1, len(acts))
-            push = np.zeros(len(C))
-            S = C[acts].dot(X)
-            push[acts] = np.linalg.lstsq(S, bound - C[acts].dot(free), rcond=None)[0]
-            x = free + X.dot(push[acts])
-            beyond = passed(C.dot(x), lower, upper, slack)
-            beyond[acts] = 0
-            wrong = push * sides < -_PUSHES * np.abs(push).max(initial=0.0)
-            wrong &= lower < upper
-            if not beyond.any() and not wrong.any():
-                open_ = float(np.abs(C[acts].dot(x) - bound).max(initial=0.0))
-                if open_ > slack:
-                    return None
-                self._last = sides
-                return Optimum(x, push, open_)
-            sides[wrong] = 0
-            sides = np.where(beyond != 0, beyond, sides).astype(np.int8)
-        return None
+    solves: int = 0
+    softened: int = 0
+    qp: int = 0
+    cold: int = 0
+    boxed: int = 0
+    damped: int = 0
+    failed: int = 0

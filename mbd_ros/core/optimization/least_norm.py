@@ -1,45 +1,60 @@
 """The smallest vector of an affine set that keeps bounds and friction cones.
 
+Bounds alone (`least_in_bounds`):
+
     z = z0 + N y,   lower <= z <= upper
 
 Among these the entries of the first group have the smallest norm. Among those that attain it the
-second group has the smallest, and so on. `core/inverse` asks it of efforts and multipliers.
-Source: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research 33(7) (2014), on the order;
-R. T. Rockafellar, SIAM J. Control Optim. 14 (1976), on the steps that leave later groups free.
+second group has the smallest, and so on. `methods/inverse_dynamics` asks it of efforts and
+multipliers.
+
+Bounds and cones (`least_in_cones`):
+
+    min |A y - c|^2,   y = y0 + N w,   lower <= y <= upper,   |y_t| <= mu y_n
+
+The rows of A are groups, one far heavier than the next: what comes first is as small as it can be,
+then what comes next. An interior-point method solves it, with a shift of all limits that is paid
+for: where it stays, nothing keeps the limits. Where contacts that do not press exert nothing at
+all (`least_with_open`), y_i = 0 for contacts i that are open, and contacts that would pull are
+opened one after the other. That answer is the one of all cones where none is left beyond its own,
+and every open one would move apart: its price z, with the gradient N' A' (A y - c) = sum of N_i'
+z_i, is in the dual cone mu |z_t| <= z_n.
+
+Sources: A. Escande, N. Mansard, P. Wieber, Int. J. Robotics Research 33(7) (2014), on the order;
+R. T. Rockafellar, SIAM J. Control Optim. 14 (1976), on the steps that leave later groups free;
+S. Boyd, L. Vandenberghe, Convex Optimization, 2004, sec. 11.3 (barrier), 11.4 (start), 11.6 (cones
+of second order), 5.5.3 and 5.9 (prices).
 """
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import eigenpy
 import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.optimization.hard_soft_qp import HardSoftQp
 from mbd_ros.core.state import Array
-from mbd_ros.core.thresholds import CONTRADICTION, SINGULAR, redundant
+from mbd_ros.core.thresholds import SINGULAR
 from mbd_ros.errors import SolveError
-
-# ---- least norm in bounds ---------------------------------------------------------------------
-# The smallest of the vectors of an affine set that keep bounds, one group of entries first.
-
 
 _LATER = 1.0e-3  # price of a move of later groups, which is paid for the last step alone
 _STEPS = 20
 _ARRIVED = 1.0e-12  # of the size of z
 _KEPT = 1.0e-9  # the same, by which a bound may be passed
-
-
-class Least(NamedTuple):
-    """The answer.
-
-    Attributes:
-        z: The vector, shape (n,); where the bounds cannot be kept the one with the least excess.
-        is_within: Whether it keeps them.
-    """
-
-    z: Array
-    is_within: bool
+_WITHIN = 1.0e-10  # of the largest number: what rounding leaves of a limit that is kept
+_PRICED = 1.0e-9  # of the largest price: one that is not negative
+_PRICE = 10.0  # of the shift, where numbers are of size one
+_FIRST = 1.0  # weight of the barrier
+_LAST = 1.0e-16  # the same at the end
+_FALL = 0.02  # of the weight, from one to the next
+_NEWTON_STEPS = 12  # of Newton's method, for each of them
+_CENTRED = 0.1  # decrement at which one is solved
+_SHORTENED = 0.95  # of the way to the nearest limit
+_HALVINGS = 40  # of a step
+_LEAST_DESCENT = 1.0e-4  # of what a step promises
+_SHIFTED = 1.0e-7  # of the largest number: a shift that stays
 
 
 def least_in_bounds(
@@ -75,14 +90,6 @@ def least_in_bounds(
     return Least(_refined(z, every, lower, upper, slack) if is_within else z, is_within)
 
 
-def _refined(z: Array, N: Array, lower: Array, upper: Array, slack: float) -> Array:
-    """The same without the last digits by which bounds are passed or missed."""
-    low, high = z <= lower + slack, z >= upper - slack
-    bound, at_bound = np.where(low, lower, np.where(high, upper, z)), low | high
-    onto: Any = np.linalg.lstsq(N[at_bound], (bound - z)[at_bound], rcond=SINGULAR)[0]
-    return np.clip(z + N.dot(onto), lower, upper)
-
-
 def _nearest(z: Array, own: Array, later: Array, lower: Array, upper: Array) -> Least:
     """The z + own w + later y within the bounds whose |w| is the least."""
     n = own.shape[1]
@@ -107,187 +114,24 @@ def _nearest(z: Array, own: Array, later: Array, lower: Array, upper: Array) -> 
     return Least(z_now, True)
 
 
-# ---- redundant equations ----------------------------------------------------------------------
-# Equations of rows that may depend on one another: A x + b = 0.
-#
-# A is the mobility of the rows, not symmetric where contacts slip. Source of the pseudo-inverse:
-# G. H. Golub, C. F. Van Loan, Matrix Computations, 2013, sec. 5.5.
+def _refined(z: Array, N: Array, lower: Array, upper: Array, slack: float) -> Array:
+    """The same without the last digits by which bounds are passed or missed."""
+    low, high = z <= lower + slack, z >= upper - slack
+    bound, at_bound = np.where(low, lower, np.where(high, upper, z)), low | high
+    onto: Any = np.linalg.lstsq(N[at_bound], (bound - z)[at_bound], rcond=SINGULAR)[0]
+    return np.clip(z + N.dot(onto), lower, upper)
 
 
-def balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
-    """An x with A x + b = 0, and whether there are others.
-
-    It is NaN where A is not finite: of a state that diverges, which its simulation reports.
-
-    Args:
-        A: Shape (n, n), n > 0.
-        b: Shape (n,).
-        unit: Values of x that change the rows about alike, shape (n,).
-
-    Raises:
-        SolveError: There is none.
-    """
-    scaled, right = unit[:, None] * A * unit, unit * b
-    if not np.isfinite(scaled).all():
-        return np.full(len(b), np.nan), False
-    n = len(b)
-    factor = eigenpy.CompleteOrthogonalDecomposition(n, n)
-    factor.setThreshold(redundant(n))
-    factor.compute(scaled)
-    found = factor.solve(right).reshape(-1)
-    found -= factor.solve(scaled.dot(found) - right).reshape(-1)
-    _check(scaled, found, right)
-    return -unit * found, factor.rank() < n
-
-
-def least_balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
-    """The smallest x with A x + b = 0, and whether there are others; as `balanced`."""
-    scaled, right = unit[:, None] * A * unit, unit * b
-    if not np.isfinite(scaled).all():
-        return np.full(len(b), np.nan), False
-    U, s, Vt = np.linalg.svd(scaled)
-    n = int(np.count_nonzero(s > redundant(len(b)) * s[0]))
-    left, ahead, null = U[:, :n].T, Vt[:n].T / s[:n], Vt[n:]
-    found = ahead.dot(left.dot(right))
-    found -= ahead.dot(left.dot(scaled.dot(found) - right))  # what unequal masses leave
-    _check(scaled, found, right)
-    found *= -unit
-    if len(null) == 1:
-        along = unit * null[0]
-        found -= along * (along.dot(found) / along.dot(along))
-    elif len(null):
-        same = np.linalg.qr((null * unit).T)[0]
-        found -= same.dot(same.T.dot(found))
-    return found, len(null) > 0
-
-
-def _check(A: Array, x: Array, b: Array) -> None:
-    left = np.abs(A.dot(x) - b).max()
-    if left > 0.0 and left > CONTRADICTION * (np.abs(A).dot(np.abs(x)) + np.abs(b)).max():
-        raise SolveError("rows of a contact and those beside it contradict one another")
-
-
-# ---- cone limits ------------------------------------------------------------------------------
-# Bounds and cones of friction that forces keep.
-
-
-class Limits(NamedTuple):
-    """What a vector may be: between bounds, and in cones |y_t| <= mu y_n.
+class Least(NamedTuple):
+    """The answer.
 
     Attributes:
-        lower: Lower ends, shape (n,).
-        upper: Upper ends, shape (n,).
-        cones: Where a normal and its two tangents stand in y, shape (k, 3).
-        mu: Coefficient of friction of each, >= 0, shape (k,).
+        z: The vector, shape (n,); where the bounds cannot be kept the one with the least excess.
+        is_within: Whether it keeps them.
     """
 
-    lower: Array
-    upper: Array
-    cones: NDArray[np.intp]
-    mu: Array
-
-    def excess(self, y: Array) -> Array:
-        """By how much y passes each bound, then each cone, shape (n + k,)."""
-        tangents = np.hypot(*y[self.cones[:, 1:]].T)
-        beyond = tangents - self.mu * y[self.cones[:, 0]]
-        return np.concatenate((np.maximum(self.lower - y, y - self.upper), beyond))
-
-    def passed(self, y: Array, margin: float) -> NDArray[np.bool_]:
-        """Which numbers pass their limits by more than a share of the largest, shape (n,)."""
-        excess = self.excess(y) > margin * np.abs(y).max(initial=0.0)
-        passed: NDArray[np.bool_] = excess[: len(y)]
-        passed[self.cones[excess[len(y) :]].ravel()] = True
-        return passed
-
-
-# ---- least norm in cones ----------------------------------------------------------------------
-# The smallest of the vectors of an affine set that keep bounds and cones of friction.
-#
-#     min |A y - c|^2,   y = y0 + N w,   lower <= y <= upper,   |y_t| <= mu y_n
-#
-# The rows of A are groups, one far heavier than the next: what comes first is as small as it can
-# be, then what comes next. An interior-point method, with a shift of all limits that is paid for:
-# where it stays, nothing keeps the limits. Source: S. Boyd, L. Vandenberghe, Convex Optimization,
-# 2004, sec. 11.3 (barrier), 11.4 (start) and 11.6 (cones of second order).
-
-
-# The least forces of contacts where the contacts that do not press exert nothing at all.
-#
-#     min |A y - c|^2,   y = y0 + N w,   y_i = 0 for contacts i that are open
-#
-# Contacts that would pull are opened one after the other. The answer is that of all cones where
-# none is left beyond its own, and every open one would move apart: its price z, with the gradient
-# N' A' (A y - c) = sum of N_i' z_i, is in the dual cone mu |z_t| <= z_n. Source: S. Boyd, L.
-# Vandenberghe, Convex Optimization, 2004, sec. 5.5.3 and 5.9.
-
-_LEAST_NORM_IN_CONES_KEPT = (
-    1.0e-10  # of the largest number: what rounding leaves of a limit that is kept
-)
-_PRICED = 1.0e-9  # of the largest price: one that is not negative
-
-
-def least_with_open(y: Array, N: Array, A: Array, c: Array, limits: Limits) -> Array | None:
-    """Solve the problem above; arguments as for `least_in_cones`.
-
-    Returns:
-        The vector; None where this is not the way to it.
-    """
-    rows, at = A.dot(N), c - A.dot(y)
-    size = float(np.abs(y).max(initial=0.0))
-    is_open = np.zeros(len(limits.cones), dtype=np.bool_)
-    found = y
-    for _ in range(len(is_open) + 1):
-        closed = limits.cones[is_open].ravel()
-        w = _least(rows, at, N[closed], -y[closed])
-        if w is None:
-            return None
-        found = y + N.dot(w)
-        excess = limits.excess(found) > _LEAST_NORM_IN_CONES_KEPT * size
-        if not excess.any():
-            found[closed] = 0.0
-            return found if _is_priced(rows, at, w, N[closed], limits.mu[is_open]) else None
-        pulls = (found[limits.cones[:, 0]] < 0.0) & ~is_open
-        if not pulls.any():
-            return None
-        is_open |= pulls
-    return None
-
-
-def _least(rows: Array, at: Array, held: Array, values: Array) -> Array | None:
-    """The w of least |rows w - at| with held w = values; None where no w has that."""
-    if not len(held):
-        free: Any = np.linalg.lstsq(rows, at, rcond=SINGULAR**2)[0]
-        return np.asarray(free)
-    U, s, Vt = np.linalg.svd(held)
-    rank = int(np.count_nonzero(s > SINGULAR))
-    w = Vt[:rank].T.dot(U[:, :rank].T.dot(values) / s[:rank])
-    largest = float(np.abs(values).max(initial=0.0))
-    if np.abs(held.dot(w) - values).max(initial=0.0) > _LEAST_NORM_IN_CONES_KEPT * largest:
-        return None
-    Z = Vt[rank:].T
-    if Z.shape[1]:
-        more: Any = np.linalg.lstsq(rows.dot(Z), at - rows.dot(w), rcond=SINGULAR**2)[0]
-        w = w + Z.dot(more)
-    return np.asarray(w)
-
-
-def _is_priced(rows: Array, at: Array, w: Array, held: Array, mu: Array) -> bool:
-    """Whether every open contact would move apart."""
-    if not len(held):
-        return True
-    gradient = rows.T.dot(rows.dot(w) - at)
-    prices: Any = np.linalg.lstsq(held.T, gradient, rcond=SINGULAR)[0]
-    normal, one, two = prices.reshape(-1, 3).T
-    least = -_PRICED * float(np.abs(prices).max())
-    return bool((normal - mu * np.hypot(one, two) >= least).all())
-
-
-_PRICE = 10.0  # of the shift, where numbers are of size one
-_FIRST, _LAST, _FALL = 1.0, 1.0e-16, 0.02  # weights of the barrier
-_LEAST_NORM_IN_CONES_STEPS = 12  # of Newton's method, for each of them
-_CENTRED = 0.1  # decrement at which one is solved
-_SHORTENED, _HALVINGS, _LEAST_DESCENT = 0.95, 40, 1.0e-4
-_SHIFTED = 1.0e-7  # of the largest number: a shift that stays
+    z: Array
+    is_within: bool
 
 
 def least_in_cones(y: Array, N: Array, A: Array, c: Array, limits: Limits) -> tuple[Array, bool]:
@@ -404,7 +248,7 @@ def _centred(x: Array, rows: tuple[Array, Array], barrier: _Barrier, weight: flo
         r = wide.dot(x) + c
         return float(0.5 * r.dot(r) + _PRICE * x[-1]) + weight * barrier.value(x)
 
-    for _ in range(_LEAST_NORM_IN_CONES_STEPS):
+    for _ in range(_NEWTON_STEPS):
         B, r = barrier.slopes(x)
         root = weight**0.5
         stacked = np.concatenate((wide, root * B))
@@ -424,3 +268,88 @@ def _centred(x: Array, rows: tuple[Array, Array], barrier: _Barrier, weight: flo
             break
         x = x + share * step
     return x
+
+
+def least_with_open(y: Array, N: Array, A: Array, c: Array, limits: Limits) -> Array | None:
+    """Solve the problem above; arguments as for `least_in_cones`.
+
+    Returns:
+        The vector; None where this is not the way to it.
+    """
+    rows, at = A.dot(N), c - A.dot(y)
+    size = float(np.abs(y).max(initial=0.0))
+    is_open = np.zeros(len(limits.cones), dtype=np.bool_)
+    found = y
+    for _ in range(len(is_open) + 1):
+        closed = limits.cones[is_open].ravel()
+        w = _least(rows, at, N[closed], -y[closed])
+        if w is None:
+            return None
+        found = y + N.dot(w)
+        excess = limits.excess(found) > _WITHIN * size
+        if not excess.any():
+            found[closed] = 0.0
+            return found if _is_priced(rows, at, w, N[closed], limits.mu[is_open]) else None
+        pulls = (found[limits.cones[:, 0]] < 0.0) & ~is_open
+        if not pulls.any():
+            return None
+        is_open |= pulls
+    return None
+
+
+def _least(rows: Array, at: Array, held: Array, values: Array) -> Array | None:
+    """The w of least |rows w - at| with held w = values; None where no w has that."""
+    if not len(held):
+        free: Any = np.linalg.lstsq(rows, at, rcond=SINGULAR**2)[0]
+        return np.asarray(free)
+    U, s, Vt = np.linalg.svd(held)
+    rank = int(np.count_nonzero(s > SINGULAR))
+    w = Vt[:rank].T.dot(U[:, :rank].T.dot(values) / s[:rank])
+    largest = float(np.abs(values).max(initial=0.0))
+    if np.abs(held.dot(w) - values).max(initial=0.0) > _WITHIN * largest:
+        return None
+    Z = Vt[rank:].T
+    if Z.shape[1]:
+        more: Any = np.linalg.lstsq(rows.dot(Z), at - rows.dot(w), rcond=SINGULAR**2)[0]
+        w = w + Z.dot(more)
+    return np.asarray(w)
+
+
+def _is_priced(rows: Array, at: Array, w: Array, held: Array, mu: Array) -> bool:
+    """Whether every open contact would move apart."""
+    if not len(held):
+        return True
+    gradient = rows.T.dot(rows.dot(w) - at)
+    prices: Any = np.linalg.lstsq(held.T, gradient, rcond=SINGULAR)[0]
+    normal, one, two = prices.reshape(-1, 3).T
+    least = -_PRICED * float(np.abs(prices).max())
+    return bool((normal - mu * np.hypot(one, two) >= least).all())
+
+
+class Limits(NamedTuple):
+    """What a vector may be: between bounds, and in cones |y_t| <= mu y_n.
+
+    Attributes:
+        lower: Lower ends, shape (n,).
+        upper: Upper ends, shape (n,).
+        cones: Where a normal and its two tangents stand in y, shape (k, 3).
+        mu: Coefficient of friction of each, >= 0, shape (k,).
+    """
+
+    lower: Array
+    upper: Array
+    cones: NDArray[np.intp]
+    mu: Array
+
+    def excess(self, y: Array) -> Array:
+        """By how much y passes each bound, then each cone, shape (n + k,)."""
+        tangents = np.hypot(*y[self.cones[:, 1:]].T)
+        beyond = tangents - self.mu * y[self.cones[:, 0]]
+        return np.concatenate((np.maximum(self.lower - y, y - self.upper), beyond))
+
+    def passed(self, y: Array, margin: float) -> NDArray[np.bool_]:
+        """Which numbers pass their limits by more than a share of the largest, shape (n,)."""
+        excess = self.excess(y) > margin * np.abs(y).max(initial=0.0)
+        passed: NDArray[np.bool_] = excess[: len(y)]
+        passed[self.cones[excess[len(y) :]].ravel()] = True
+        return passed

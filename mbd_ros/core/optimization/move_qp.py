@@ -4,8 +4,16 @@
     W p + f = J' lam + mu,   mu >= 0 at `low`, mu <= 0 at `high`, 0 elsewhere
 
 `methods/projection` asks it of each step to the nearest consistent state. W may leave joints free
-that the rows place. Source: J. Nocedal, S. Wright, Numerical Optimization, 2006, sec. 16.2.
+that the rows place. `LimitForces` finds the mu for any compliance C of the joints,
+
+    w = p + C mu,   low <= w <= high
+
+where p is the move without limits and C the moves per force that constraints leave. Where C is
+regular, w is the optimum of min 1/2 (w - p)' C^-1 (w - p) over low <= w <= high.
+Source: J. Nocedal, S. Wright, Numerical Optimization, 2006, sec. 16.2.
 """
+
+from __future__ import annotations
 
 from typing import Any, NamedTuple, Protocol
 
@@ -18,38 +26,105 @@ from mbd_ros.core.rows.delassus import RowFactor
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CLOSED_GAP, HELD_BY_ROWS, REACHED
 
-# ---- limit forces -----------------------------------------------------------------------------
-# Forces of joint limits that keep a move of all joints within them.
-#
-#     w = p + C mu,   low <= w <= high,   mu >= 0 at `low`, mu <= 0 at `high`, 0 elsewhere
-#
-# p is the move without limits and C the compliance: the moves per force that constraints leave.
-# Where C is regular, w is the optimum of min 1/2 (w - p)' C^-1 (w - p) over low <= w <= high.
-
-
 _EXCHANGES = 6
 
 
-def stops(q: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
-    """Smallest and largest velocities, shapes (n,), that do not lead out of a reached limit.
+class MoveQp:
+    """Solves the problem above: one factorisation, and a QP only where a bound is violated.
 
     Args:
-        q: Configuration, shape (n,).
-        lower: Smallest positions, shape (n,).
-        upper: Largest positions, shape (n,).
+        n: Number of joints.
+        limits: Forces of the bounds.
     """
-    floor = np.where(q <= lower + REACHED, 0.0, -np.inf)
-    return floor, np.where(q >= upper - REACHED, 0.0, np.inf)
+
+    def __init__(self, n: int, limits: LimitForces) -> None:
+        self._limits = limits
+        self._zero = np.zeros(n)
+
+    def solve(self, metric: Metric, f: Array, J: Array, c: Array, low: Array, high: Array) -> Move:
+        """The optimum; arguments as in the problem above.
+
+        Raises:
+            SolveError: The bounds contradict the rows, or something is not finite.
+        """
+        W, weight = metric
+        if weight is not None:  # nothing changes where J p = c
+            rows = J.T * weight
+            W, f = W + rows.dot(J), f - rows.dot(c)
+        on_rows = _OnRows(W, J)
+        free = -_solve(on_rows.cholesky, f)
+        p, lam = on_rows.nearest(c, free)
+        mu = self._limits.solve(on_rows, p, low, high)
+        if mu is not None:
+            p, lam = on_rows.nearest(c, free + _solve(on_rows.cholesky, mu))
+        return Move(p, lam, self._zero if mu is None else mu, on_rows.condition)
 
 
-class Compliance(Protocol):
-    """How joints answer forces."""
+class _OnRows:
+    """Moves that keep J p."""
+
+    def __init__(self, W: Array, J: Array) -> None:
+        self._J, self.cholesky = J, eigenpy.LLT(W)
+        self._factor = RowFactor(W, J) if len(J) else None
+        self.condition = 1.0 if self._factor is None else self._factor.condition
+
+    def nearest(self, c: Array, p: Array) -> tuple[Array, Array]:
+        """Point p moved onto J p = c, and the multipliers of the rows."""
+        if self._factor is None:
+            return p, np.zeros(0)
+        lam = self._factor.solve(c - self._J.dot(p))
+        return p + self._factor.X.dot(lam), lam
 
     def moves(self, forces: Array) -> Array:
-        """C times forces, one a column, shape (n, k)."""
+        """Moves that forces cause, one a column."""
+        moves = _solve(self.cholesky, forces)
+        if self._factor is not None:
+            moves -= self._factor.motion(self._factor.X.T.dot(forces))
+        return moves
 
     def mobility(self) -> Array:
-        """Moves per force of each joint if nothing constrained it, shape (n,)."""
+        """Moves per force of each joint if there were no rows, shape (n,)."""
+        return np.array(_solve(self.cholesky, np.eye(len(self._J.T))).diagonal())
+
+
+def _solve(factored: Any, right: Array) -> Array:
+    """Solution of the shape of `right`; eigenpy flattens one column and not one number."""
+    solution: Array = factored.solve(right).reshape(right.shape)
+    return solution
+
+
+class Move(NamedTuple):
+    """The optimum.
+
+    Attributes:
+        p: Move, shape (n,).
+        lam: Multipliers of the rows, shape (m,).
+        mu: Multipliers of the bounds, shape (n,).
+        condition: Condition number of the rows in the metric, inf where they are redundant.
+    """
+
+    p: Array
+    lam: Array
+    mu: Array
+    condition: float
+
+
+class Metric(NamedTuple):
+    """W, and row weights that keep the problem solvable.
+
+    Attributes:
+        W: Positive semidefinite, shape (n, n).
+        weight: Row weights s: W + J' s J is definite; None where W itself is, shape (m,).
+    """
+
+    W: Array
+    weight: Array | None
+
+
+def row_weight(M: Array, J: Array) -> Array:
+    """Weights that bring the rows to the size of the mass matrix, shape (m,)."""
+    size = (J * eigenpy.LLT(M).solve(J.T).reshape(J.T.shape).T).sum(axis=1)
+    return 1.0 / np.where(size > 0.0, size, 1.0)
 
 
 class LimitForces:
@@ -126,6 +201,16 @@ class LimitForces:
         return None
 
 
+class Compliance(Protocol):
+    """How joints answer forces."""
+
+    def moves(self, forces: Array) -> Array:
+        """C times forces, one a column, shape (n, k)."""
+
+    def mobility(self) -> Array:
+        """Moves per force of each joint if nothing constrained it, shape (n,)."""
+
+
 def _pushes(compliance: Compliance, p: Array, low: Array, high: Array) -> tuple[Array, ...]:
     """A and gap of forces >= 0 at each lower and each upper bound, scaled, and their scales."""
     n = len(p)
@@ -137,109 +222,19 @@ def _pushes(compliance: Compliance, p: Array, low: Array, high: Array) -> tuple[
     return scale[:, None] * A * scale, scale * np.where(movable, gap, 0.0), scale
 
 
-# ---- move qp ----------------------------------------------------------------------------------
-# The quadratic program of a move of all joints onto linear rows, within bounds.
+def stops(q: Array, lower: Array, upper: Array) -> tuple[Array, Array]:
+    """Smallest and largest velocities, shapes (n,), that do not lead out of a reached limit.
 
-
-class Metric(NamedTuple):
-    """W, and row weights that keep the problem solvable.
-
-    Attributes:
-        W: Positive semidefinite, shape (n, n).
-        weight: Row weights s: W + J' s J is definite; None where W itself is, shape (m,).
+    Args:
+        q: Configuration, shape (n,).
+        lower: Smallest positions, shape (n,).
+        upper: Largest positions, shape (n,).
     """
-
-    W: Array
-    weight: Array | None
-
-
-def row_weight(M: Array, J: Array) -> Array:
-    """Weights that bring the rows to the size of the mass matrix, shape (m,)."""
-    size = (J * eigenpy.LLT(M).solve(J.T).reshape(J.T.shape).T).sum(axis=1)
-    return 1.0 / np.where(size > 0.0, size, 1.0)
+    floor = np.where(q <= lower + REACHED, 0.0, -np.inf)
+    return floor, np.where(q >= upper - REACHED, 0.0, np.inf)
 
 
 def is_convex(metric: Metric, J: Array) -> bool:
     """Whether the problem has one minimum."""
     rows = J.T if metric.weight is None else J.T * metric.weight
     return bool(eigenpy.LLT(metric.W + rows.dot(J)).info().name == "Success")
-
-
-class Move(NamedTuple):
-    """The optimum.
-
-    Attributes:
-        p: Move, shape (n,).
-        lam: Multipliers of the rows, shape (m,).
-        mu: Multipliers of the bounds, shape (n,).
-        condition: Condition number of the rows in the metric, inf where they are redundant.
-    """
-
-    p: Array
-    lam: Array
-    mu: Array
-    condition: float
-
-
-class MoveQp:
-    """Solves the problem above: one factorisation, and a QP only where a bound is violated.
-
-    Args:
-        n: Number of joints.
-        limits: Forces of the bounds.
-    """
-
-    def __init__(self, n: int, limits: LimitForces) -> None:
-        self._limits = limits
-        self._zero = np.zeros(n)
-
-    def solve(self, metric: Metric, f: Array, J: Array, c: Array, low: Array, high: Array) -> Move:
-        """The optimum; arguments as in the problem above.
-
-        Raises:
-            SolveError: The bounds contradict the rows, or something is not finite.
-        """
-        W, weight = metric
-        if weight is not None:  # nothing changes where J p = c
-            rows = J.T * weight
-            W, f = W + rows.dot(J), f - rows.dot(c)
-        on_rows = _OnRows(W, J)
-        free = -_solve(on_rows.cholesky, f)
-        p, lam = on_rows.nearest(c, free)
-        mu = self._limits.solve(on_rows, p, low, high)
-        if mu is not None:
-            p, lam = on_rows.nearest(c, free + _solve(on_rows.cholesky, mu))
-        return Move(p, lam, self._zero if mu is None else mu, on_rows.condition)
-
-
-class _OnRows:
-    """Moves that keep J p."""
-
-    def __init__(self, W: Array, J: Array) -> None:
-        self._J, self.cholesky = J, eigenpy.LLT(W)
-        self._factor = RowFactor(W, J) if len(J) else None
-        self.condition = 1.0 if self._factor is None else self._factor.condition
-
-    def nearest(self, c: Array, p: Array) -> tuple[Array, Array]:
-        """Point p moved onto J p = c, and the multipliers of the rows."""
-        if self._factor is None:
-            return p, np.zeros(0)
-        lam = self._factor.solve(c - self._J.dot(p))
-        return p + self._factor.X.dot(lam), lam
-
-    def moves(self, forces: Array) -> Array:
-        """Moves that forces cause, one a column."""
-        moves = _solve(self.cholesky, forces)
-        if self._factor is not None:
-            moves -= self._factor.motion(self._factor.X.T.dot(forces))
-        return moves
-
-    def mobility(self) -> Array:
-        """Moves per force of each joint if there were no rows, shape (n,)."""
-        return np.array(_solve(self.cholesky, np.eye(len(self._J.T))).diagonal())
-
-
-def _solve(factored: Any, right: Array) -> Array:
-    """Solution of the shape of `right`; eigenpy flattens one column and not one number."""
-    solution: Array = factored.solve(right).reshape(right.shape)
-    return solution

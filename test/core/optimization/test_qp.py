@@ -7,13 +7,8 @@ import numpy as np
 import pytest
 
 from mbd_ros.core.optimization import hard_soft_qp
-from mbd_ros.core.optimization.box_qp import (
-    COMPLIANCES,
-    BoundedLeastSquares,
-    BoxQp,
-    complementarity_residual,
-)
-from mbd_ros.core.optimization.hard_soft_qp import HardSoftQp
+from mbd_ros.core.optimization.box_qp import BoxQp, complementarity_residual
+from mbd_ros.core.optimization.hard_soft_qp import COMPLIANCES, BoundedLeastSquares, HardSoftQp
 from mbd_ros.errors import ModelError, SolveError
 
 
