@@ -10,8 +10,9 @@ from mbd_ros.core.dynamics.phased_system import PhasedSystem
 from mbd_ros.errors import SceneError
 from mbd_ros.features.gait.periodic import ReturnMap
 from mbd_ros.features.gait.task import GaitTask
-from mbd_ros.methods.sensitivities.flow import Segment, Travel
+from mbd_ros.methods.sensitivities.flow import Segment
 from mbd_ros.methods.sensitivities.simulated_flow import EndsCycle, SimulatedFlow
+from mbd_ros.methods.sensitivities.travel import Travel
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.simulation import build_simulation

@@ -13,8 +13,9 @@ from mbd_ros.features.gait.periodic import PeriodicMotion, ReturnMap, periodic_m
 from mbd_ros.features.gait.task import GaitTask, Grid
 from mbd_ros.features.gait.travel import travel_for
 from mbd_ros.jobs.progress import Say, progress
-from mbd_ros.methods.sensitivities.flow import Segment, Travel
+from mbd_ros.methods.sensitivities.flow import Segment
 from mbd_ros.methods.sensitivities.simulated_flow import SimulatedFlow
+from mbd_ros.methods.sensitivities.travel import Travel
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.variants import with_sections
 

@@ -12,8 +12,9 @@ import numpy as np
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SceneError
 from mbd_ros.features.gait.task import GaitTask
-from mbd_ros.methods.sensitivities.flow import Segment, Travel, TravelCoordinate
+from mbd_ros.methods.sensitivities.flow import Segment
 from mbd_ros.methods.sensitivities.simulated_flow import SimulatedFlow
+from mbd_ros.methods.sensitivities.travel import Travel, TravelCoordinate
 
 _ASIDE = 1.0e-3  # m: how far a motion is moved to see whether it changes
 _SAME = 1.0e-7  # change of rates and guards a metre, over the largest entry
