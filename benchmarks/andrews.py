@@ -22,7 +22,7 @@ from mbd_ros.compiled.runs.native_run import NativeRun, held_inputs
 from mbd_ros.compiled.runs.run_source import Sizes, with_integrators
 from mbd_ros.core.state import Array
 from mbd_ros.methods.integration.stepping import Integrator
-from mbd_ros.methods.simulation.sample_blocks import sample_times
+from mbd_ros.methods.simulation.samples import sample_times
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part

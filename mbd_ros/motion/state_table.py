@@ -14,7 +14,8 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, MbdError, SolveError
 from mbd_ros.files.table import TIME, Column, Table
 from mbd_ros.methods.projection.assembly import violation
-from mbd_ros.methods.simulation.simulation import Seen, Simulation, seen_at
+from mbd_ros.methods.simulation.shown_accelerations import Seen, seen_at
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.motion.columns import (
     body_columns,
     body_topics,

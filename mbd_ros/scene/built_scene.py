@@ -30,7 +30,7 @@ from mbd_ros.methods.inverse_dynamics.efforts import joint_efforts
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics, SampleSolver
 from mbd_ros.methods.inverse_dynamics.standing import Nearness, carriers
 from mbd_ros.methods.projection.assembly import Stabilization
-from mbd_ros.methods.simulation.live_simulation import SafeCommand
+from mbd_ros.methods.simulation.safe_command import SafeCommand
 from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.phase_plans import PhasePlan
 from mbd_ros.scene.schema import schema

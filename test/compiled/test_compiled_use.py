@@ -15,7 +15,8 @@ from mbd_ros.cli import main
 from mbd_ros.errors import BAD_INPUT, SceneError
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.tables.csv import read_table
-from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.safe_command import CommandWatch
 
 SCENES = sorted(path.stem for path in (ROOT / "config/scenes").glob("*.yaml"))
 SMOOTH = {  # neither stops, dry friction nor contacts

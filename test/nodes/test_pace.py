@@ -17,7 +17,8 @@ from rclpy.task import Future
 from sensor_msgs.msg import JointState
 
 from mbd_ros.api import load_scene
-from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.safe_command import CommandWatch
 from mbd_ros.nodes.simulator.pace import PATIENCE, Pace, wake_exactly
 from msg_adapters.joint_state import JointStateWriter
 

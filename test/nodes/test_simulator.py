@@ -27,7 +27,8 @@ from visualization_msgs.msg import MarkerArray
 from mbd_ros.api import load_scene
 from mbd_ros.files.bags.bag_reader import messages, raw_messages
 from mbd_ros.files.bags.bag_writer import BagWriter
-from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.safe_command import CommandWatch
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import read_joint_state, write_joint_state
 from msg_adapters.multi_array import write_multi_array

@@ -5,7 +5,8 @@ from geometry_msgs.msg import WrenchStamped
 from nodes.simulation_client import DEEP, NAME, PENDULUM, simulated
 
 from mbd_ros.api import load_scene
-from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.safe_command import CommandWatch
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.wrench import write_wrench
 

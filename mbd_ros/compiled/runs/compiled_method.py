@@ -24,7 +24,7 @@ from mbd_ros.methods.integration.adapted_steps import TurnedSteps
 from mbd_ros.methods.integration.linear_motion import LinearMotion
 from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.projection.assembly import Stabilization
-from mbd_ros.methods.simulation.checked_steps import happenings, prepared
+from mbd_ros.methods.simulation.stepper import happenings, prepared
 
 Say = Callable[[str], None]
 

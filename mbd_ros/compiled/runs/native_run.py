@@ -24,7 +24,7 @@ from mbd_ros.core.dynamics.world_axes import InWorldAxes
 from mbd_ros.core.loads.inputs import Pieces
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.methods.integration.stepping import HeldTable, Integrator
-from mbd_ros.methods.simulation.sample_blocks import SampleTimes
+from mbd_ros.methods.simulation.samples import SampleTimes
 
 _MANY = 2**62
 

@@ -16,7 +16,7 @@ from mbd_ros.features.control.chatter import ChatterMeter
 from mbd_ros.features.control.loop_watch import LoopWatch
 from mbd_ros.features.control.reference import ReferenceGenerator
 from mbd_ros.methods.control.contract import Control, Controller, EffortBox, Reference
-from mbd_ros.methods.simulation.live_simulation import SafeCommand
+from mbd_ros.methods.simulation.safe_command import SafeCommand
 
 _ROUNDING = 1.0e-9  # share of a hand-over that comes of adding steps
 

@@ -1,295 +1,35 @@
-"""Steps of a system, each of them checked, corrected and counted."""
+"""Steps of a system, each of them checked, corrected and counted.
+
+`CheckedSteps` is what simulations are made of. A step that leaves the finite numbers is an error
+that names what is lost and the last finite state; `Overshoots` sees joints pass their stops.
+"""
+
+from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.contracts import Part, type_name
 from mbd_ros.core.dynamics.mass import check_mass
 from mbd_ros.core.dynamics.system import System, during, phased
 from mbd_ros.core.model.robot import Joint
-from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.state import Array, Memory, State, copied, is_same, recognised
-from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DivergedError, ModelError, SolveError
-from mbd_ros.methods.integration.linear_motion import linear_motion
-from mbd_ros.methods.integration.stepping import BlockStepper, Integrator, Stepper
+from mbd_ros.methods.integration.stepping import BlockStepper, Integrator
 from mbd_ros.methods.projection.assembly import Stabilization
 from mbd_ros.methods.projection.initial_state import consistent_start
+from mbd_ros.methods.simulation.stepper import stepper_of
 
 if TYPE_CHECKING:
     from mbd_ros.core.complementarity.contact_problem import Residuals
     from mbd_ros.methods.events.event import Event
 
-
-# ---- stepper of -------------------------------------------------------------------------------
-# The stepper of a simulation: plain steps, or steps from event to event.
-
-
-def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
-    """The steps of a method, from event to event where a scene has any.
-
-    Args:
-        method: The method.
-        system: What it integrates.
-        dt: Length of a step, or first guess [s].
-
-    Raises:
-        ModelError: The method cannot stop at events, or surfaces stand beside smoothed rows; or it
-            cannot move internal states; names them.
-    """
-    if (several := phased(system)) is not None:
-        from mbd_ros.methods.events.phases import PhaseSteps
-
-        return PhaseSteps(several, lambda one: stepper_of(method, one, dt))
-    rows, guards = happenings(system)
-    surfaces = method.finds_surfaces and any(force.surfaces for force in system.loads.forces)
-    if not (guards or surfaces) and (method.at_velocity_level or not rows):
-        return prepared(method, system, dt)
-    if not method.event_driven:
-        way_out = "; or smoothed: true at these constraints" if rows and not guards else ""
-        raise ModelError(
-            f"integrator {method.title} does not stop at events, which exact rows and "
-            f"guards need: {', '.join((*rows, *guards))}; accepted: rk4, dopri5, dop853, "
-            f"filippov, gauss_legendre, adams, and moreau_jean without guards{way_out}"
-        )
-    _refuse_kinks(method, system)
-    from mbd_ros.methods.events.event_steps import EventSteps
-    from mbd_ros.methods.events.mode_field import ModeField
-
-    field = ModeField(system, surfaces)
-    steps = method.event_steps or EventSteps
-    if field.has_contacts and not system.chart.is_flat:
-        return steps(field, _turned(method, field.system, dt), dt)
-    return steps(field, prepared(method, field.system, dt), dt)
-
-
-def _turned(method: Integrator, system: System, dt: float) -> Stepper:
-    """The steps of a method in the axes of the world, where spins turn no velocity."""
-    from mbd_ros.core.dynamics.world_axes import InWorldAxes
-    from mbd_ros.methods.integration.adapted_steps import TurnedSteps
-
-    world = InWorldAxes(system)
-    inner = prepared(method, world, dt)
-    return inner if method.turns else TurnedSteps(world, inner)
-
-
-def happenings(system: System) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of the exact rows that give way, and of parts with guards."""
-    rows = () if system.exact is None else tuple(system.exact.names)
-    return rows, tuple(part.name for part in _parts(system) if part.guards)
-
-
-def _refuse_kinks(method: Integrator, system: System) -> None:
-    """Refuse contacts whose gaps are not smooth where events have to be found.
-
-    Raises:
-        ModelError: Names them, and the way out.
-    """
-    parts = [block.part for block in system.layout.having(Kind.CONE)]
-    pairs = ((part.name, getattr(part, "pair", None)) for part in parts)
-    rough = [f"{name} ({pair.why_not})" for name, pair in pairs if pair and not pair.is_smooth]
-    if rough:
-        raise ModelError(
-            f"integrator {type_name(type(method))} goes from event to event, which needs smooth "
-            f"gaps; not so {', '.join(rough)}; accepted: moreau_jean, or points on one of the "
-            "bodies over a half_space or over spheres"
-        )
-
-
-def prepared(method: Integrator, system: System, dt: float) -> Stepper:
-    """The steps of a method, internal states included."""
-    if not system.internals.nz or method.at_velocity_level or method.moves_internal:
-        return method.prepare(system, dt)
-    if not method.keeps_internal:
-        names = ", ".join(filter(None, system.internals.names))
-        raise ModelError(
-            f"integrator {type_name(type(method))} does not move internal states, the scene has "
-            f"{names}; accepted: any other, such as rk4"
-        )
-    from mbd_ros.methods.integration.adapted_steps import InternalSteps
-
-    return InternalSteps(method, system, dt)
-
-
-def _parts(system: System) -> Iterator[Part]:
-    yield from system.loads.actuators
-    yield from system.loads.forces
-    yield from (block.part for block in system.layout.blocks)
-    yield from system.loads.watching
-
-
-# ---- divergence -------------------------------------------------------------------------------
-# States that are no longer finite: what is lost, where it was last, and why.
-
-
 _SHOWN = 8  # joints in a message
 _COUNTED = 1.0e150  # whose squares are numbers
 _IN_REACH = 1.0e6  # rad or m: where a mass matrix still says something of the robot
-
-
-def divergence(system: System, y: State, after: State) -> DivergedError:
-    """The error of a step from a finite state to one that is not."""
-    return DivergedError(
-        f"diverged at t = {after.t:.9g} s: {_lost(system, after)}; {last_finite(system, y)}; "
-        f"{_advice(system, y)}"
-    )
-
-
-def _advice(system: System, y: State) -> str:
-    try:
-        if np.abs(y.q).max(initial=0.0) < _IN_REACH:  # else rounding speaks, not the robot
-            check_mass(system, y.q)
-    except SolveError as error:
-        return str(error)
-    return "try a smaller dt"
-
-
-def _lost(system: System, after: State) -> str:
-    lost = int(np.count_nonzero(~np.isfinite(after.v)))
-    if lost:
-        return f"{lost} of {len(after.v)} velocities are not finite"
-    states = zip(system.internals.names, (np.abs(after.z) < _COUNTED).tolist(), strict=True)
-    names = [name for name, is_counted in states if not is_counted]
-    if names:
-        return f"{', '.join(names[:_SHOWN])} beyond all numbers"
-    return "positions or velocities are beyond all numbers"
-
-
-def last_finite(system: System, y: State) -> str:
-    """The fastest joint or free body, time and positions of the last finite state."""
-    x, robot = system.expand(y), system.robot
-    speeds = {joint.name: (float(x.v[joint.v]), "joint") for joint in robot.joints}
-    places = [f"{joint.name} {x.q[joint.q]:.4g}" for joint in robot.joints[:_SHOWN]]
-    for base in robot.bases:
-        from mbd_ros.core.kinematics.poses import world_pose  # only where something flies
-
-        fastest = max(x.v[base.v].tolist(), key=abs)
-        speeds[base.name] = fastest, "free body"
-        place = world_pose(robot, x.q[base.q])[:3]
-        places.append(f"{base.name} {', '.join(f'{one:.4g}' for one in place.tolist())}")
-    name = max(speeds, key=lambda one: abs(speeds[one][0]))
-    speed, kind = speeds[name]
-    more = ", .." if len(speeds) > _SHOWN else ""
-    return (
-        f"last finite state at t = {y.t:.9g} s: fastest {kind} {name} with {speed:.3g}/s; "
-        f"positions {', '.join(places[:_SHOWN])}{more}"
-    )
-
-
-# ---- checked steps ----------------------------------------------------------------------------
-# Steps of a system, each of them checked, corrected and counted.
-
-
-# How far joints went beyond the ends that stops keep.
-
 _SAID = 1.0e-4  # rad or m; what steps that resolve an impact leave is far below
 _KEPT = ("_first", "_worst", "_limit", "_speed", "_when", "_seen")
-
-
-class Overshoot(NamedTuple):
-    """A joint beyond a stop.
-
-    Attributes:
-        joint: The joint.
-        end: The end that it passed [rad or m].
-        size: How far it went [rad or m].
-        t: When it was there [s].
-        speed: Its largest speed at the start of the steps that took it there [rad/s or m/s].
-    """
-
-    joint: Joint
-    end: float
-    size: float
-    t: float
-    speed: float
-
-    def __str__(self) -> str:
-        unit = "m" if self.joint.kind == "prismatic" else "rad"
-        return (
-            f"{self.joint.name} passes its stop at {self.end:g} {unit} by {self.size:.3g} {unit}, "
-            f"at t = {self.t:.6g} s, coming with up to {self.speed:.3g} {unit}/s"
-        )
-
-
-class Overshoots:
-    """The largest overshoot at every end of every stop of a system.
-
-    A stop that acts before its end is reached is not passed. A stop that a step jumps over is.
-    Steps in which no bounded row acts cost nothing.
-
-    Args:
-        system: The system, with smoothed stops.
-    """
-
-    def __init__(self, system: Any) -> None:
-        self._system = system
-        stops = [stop for block in system.layout.smoothed for stop in block.part.stops]
-        self._joints = [stop.joint for stop in stops] * 2
-        self._q = np.array([joint.q for joint in self._joints], dtype=np.intp)
-        self._v = np.array([joint.v for joint in self._joints], dtype=np.intp)
-        self._signs = np.repeat([-1.0, 1.0], len(stops))
-        ends = [stop.lower for stop in stops] + [stop.upper for stop in stops]
-        self._ends = self._signs * ends
-        self._speed, self._when = np.zeros((2, len(ends)))
-        self._first = self._worst = np.zeros(len(ends))
-        self._limit, self._seen = self._ends + self._worst, None
-
-    def begin(self, y: Any) -> None:
-        """Forget all; ends that the first state is beyond do not count."""
-        self._first = np.maximum(self._outwards(y) - self._ends, 0.0)
-        self._speed, self._when = np.zeros((2, len(self._ends)))
-        self._worst, self._limit, self._seen = self._first, self._ends + self._first, y
-
-    def memory(self) -> Memory:
-        """What was seen so far, as a value of its own."""
-        return {name: copied(getattr(self, name)) for name in _KEPT}
-
-    def recall(self, memory: Memory, y: Any) -> None:
-        """Go on from a memory; y is the state from which the next step starts."""
-        for name, value in memory.items():
-            setattr(self, name, recognised(copied(value), y))
-
-    def look(self, y: Any, y_next: Any) -> None:
-        """Look at a step, from one state of the integrated coordinates to the next."""
-        if not self._system.bounded.acts:
-            return
-        if y is not self._seen:  # a stop may act only in the step after that which passed it
-            self._compare(y, y)
-        self._compare(y_next, y)
-        self._seen = y_next
-
-    def found(self) -> list[Overshoot]:
-        """Those that are large enough to report: lower ends, then upper ones, as the stops."""
-        return [
-            Overshoot(
-                self._joints[i],
-                float(self._signs[i] * self._ends[i]),
-                float(self._worst[i]),
-                float(self._when[i]),
-                float(self._speed[i]),
-            )
-            for i in np.flatnonzero(self._worst - self._first > _SAID).tolist()
-        ]
-
-    def _outwards(self, y: Any) -> Array:
-        """Positions of the joints in the direction of every end, shape (2 n,)."""
-        outwards: Array = self._signs * self._system.expand(y).q[self._q]
-        return outwards
-
-    def _compare(self, y: Any, before: Any) -> None:
-        outwards = self._outwards(y)
-        if not (outwards > self._limit).any():
-            return
-        beyond = outwards - self._ends
-        further = beyond > self._worst
-        speed = np.abs(self._system.expand(before).v[self._v])
-        self._when = np.where(further, y.t, self._when)
-        self._speed = np.where(further, np.maximum(speed, self._speed), self._speed)
-        self._worst = np.where(further, beyond, self._worst)
-        self._limit = self._ends + self._worst
 
 
 class CheckedSteps:
@@ -376,15 +116,15 @@ class CheckedSteps:
         return self.system.evaluations - self._evaluations + own
 
     @property
-    def events(self) -> "list[Event]":
+    def events(self) -> list[Event]:
         """What happened since the start or the last `take_events`, in the order of time."""
         return list(self.stepper.events)
 
-    def take_events(self) -> "tuple[Event, ...]":
+    def take_events(self) -> tuple[Event, ...]:
         """The same, and forget it: a simulation without end has no list without end."""
         return tuple(self.stepper.take_events())
 
-    def take_residuals(self) -> "Residuals | None":
+    def take_residuals(self) -> Residuals | None:
         """The worst residuals of contacts in steps since the last call; None without contacts."""
         worst: Residuals | None = self.stepper.residuals
         self.stepper.forget_residuals()
@@ -395,137 +135,153 @@ class CheckedSteps:
         return [] if self.overshoots is None else [str(one) for one in self.overshoots.found()]
 
 
-# ---- stall ------------------------------------------------------------------------------------
-# Simulations that hardly advance: the pace of their steps, and why they are so short.
-
-
-Notice = Callable[[str], None]
-WINDOW = 10_000  # steps between two looks
-_SHORTENED, _SHORT = 0.05, 5.0e-5  # mean step, in dt
-_LONG, _HOPELESS = 3.0e6, 3.0e7  # steps left at this pace: minutes, and hours
-PATIENCE = 3  # windows in a row without hope
-_AT_THE_LIMIT = 0.3  # rate times step from which on the rate explains the step
-
-
-class StallWatch:
-    """Looks at the pace of a simulation, every `WINDOW` steps.
-
-    A run is slow where the method has shortened its steps and millions of them are left; one
-    notice reports it. A run is hopeless where it takes more than 20 000 steps an interval of the
-    output and tens of millions are left, three looks in a row. A stiff scene whose end is within
-    reach continues, and so does one that is slow for a while.
-
-    Args:
-        system: The system.
-        dt: Interval of the output [s].
-        notice: Is called for a slow run; may be None.
-    """
-
-    def __init__(self, system: System, dt: float, notice: Notice | None = None) -> None:
-        self._system, self._dt, self._notice = system, dt, notice
-        self._hopeless, self._t = 0, 0.0
-
-    def begin(self, t: float) -> None:
-        """Start to look at a time [s]."""
-        self._hopeless, self._t = 0, t
-
-    def look(self, x: State, u: Array | None, end: float) -> None:
-        """Judge the last `WINDOW` steps.
-
-        Args:
-            x: State of the integrated coordinates now.
-            u: Commands.
-            end: Time at which the run is to end [s].
-
-        Raises:
-            DivergedError: There is no hope; names joint, time and likely cause.
-        """
-        step, self._t = (x.t - self._t) / WINDOW, x.t
-        left = (end - x.t) / max(step, TINY)
-        if step > _SHORTENED * self._dt or left < _LONG:
-            self._hopeless = 0
-            return
-        is_hopeless = step < _SHORT * self._dt and left > _HOPELESS
-        self._hopeless = self._hopeless + 1 if is_hopeless else 0
-        if self._hopeless < PATIENCE and self._notice is None:
-            return
-        text = _described(self._system, x, u, step, end)
-        if self._hopeless >= PATIENCE:
-            raise DivergedError(f"stalled: {text}")
-        if self._notice is not None:
-            self._notice(text)
-            self._notice = None
-
-
-def refuse_crawl(
-    system: System, x: State, u: Array | None, step: float, dt: float, end: float
-) -> None:
-    """Refuse to continue within a tick that has taken `PATIENCE` windows of steps.
-
-    Args:
-        system: The system.
-        x: State of the integrated coordinates now.
-        u: Commands.
-        step: Mean step in this tick [s].
-        dt: Interval of the output [s].
-        end: Of the tick [s].
-
-    Raises:
-        DivergedError: Steps are far too short; names joint, time and likely cause.
-    """
-    if step < _SHORT * dt:
-        raise DivergedError(f"stalled: {_described(system, x, u, step, end)}")
-
-
-def _described(system: System, x: State, u: Array | None, step: float, end: float) -> str:
-    return (
-        f"steps of {step:.2g} s at t = {x.t:.9g} s: {(end - x.t) / max(step, TINY):.2g} of them "
-        f"to the end at {end:g} s; {_cause(system, x, u, step)}"
+def divergence(system: System, y: State, after: State) -> DivergedError:
+    """The error of a step from a finite state to one that is not."""
+    return DivergedError(
+        f"diverged at t = {after.t:.9g} s: {_lost(system, after)}; {last_finite(system, y)}; "
+        f"{_advice(system, y)}"
     )
 
 
-def _cause(system: System, x: State, u: Array | None, step: float) -> str:
-    """The joint that asks for the short steps, and what makes it do so."""
-    full = system.expand(x)
-    system.k.refresh(full.q, full.v, system.loads.reads)
-    if system.loads.beside(system.k, full) is not system.loads:
-        return (
-            f"{_hardest(system, full, u)}; a switching force chatters at its surface, which "
-            "integrator filippov follows"
-        )
+def _lost(system: System, after: State) -> str:
+    lost = int(np.count_nonzero(~np.isfinite(after.v)))
+    if lost:
+        return f"{lost} of {len(after.v)} velocities are not finite"
+    states = zip(system.internals.names, (np.abs(after.z) < _COUNTED).tolist(), strict=True)
+    names = [name for name, is_counted in states if not is_counted]
+    if names:
+        return f"{', '.join(names[:_SHOWN])} beyond all numbers"
+    return "positions or velocities are beyond all numbers"
+
+
+def _advice(system: System, y: State) -> str:
     try:
-        motion = linear_motion(system, x)
-    except SolveError:
-        return "no acceleration nearby"
-    n = system.nv + system.internals.nz
-    if motion.rate * step > _AT_THE_LIMIT and np.isfinite(motion.rate):
-        first = np.block(
-            [[np.zeros((n, n)), np.eye(n)], [motion.stiffness[:n, :n], motion.damping[:n, :n]]]
-        )
-        values, vectors = np.linalg.eig(first)
-        mode = np.abs(vectors[:, int(np.abs(values).argmax())])
-        return (
-            f"{_mover(system, mode[:n] + mode[n:])} is stiff with a rate of {motion.rate:.3g} "
-            "1/s; soften its force, raise the tolerance or try integrator gauss_legendre"
-        )
+        if np.abs(y.q).max(initial=0.0) < _IN_REACH:  # else rounding speaks, not the robot
+            check_mass(system, y.q)
+    except SolveError as error:
+        return str(error)
+    return "try a smaller dt"
+
+
+def last_finite(system: System, y: State) -> str:
+    """The fastest joint or free body, time and positions of the last finite state."""
+    x, robot = system.expand(y), system.robot
+    speeds = {joint.name: (float(x.v[joint.v]), "joint") for joint in robot.joints}
+    places = [f"{joint.name} {x.q[joint.q]:.4g}" for joint in robot.joints[:_SHOWN]]
+    for base in robot.bases:
+        from mbd_ros.core.kinematics.poses import world_pose  # only where something flies
+
+        fastest = max(x.v[base.v].tolist(), key=abs)
+        speeds[base.name] = fastest, "free body"
+        place = world_pose(robot, x.q[base.q])[:3]
+        places.append(f"{base.name} {', '.join(f'{one:.4g}' for one in place.tolist())}")
+    name = max(speeds, key=lambda one: abs(speeds[one][0]))
+    speed, kind = speeds[name]
+    more = ", .." if len(speeds) > _SHOWN else ""
     return (
-        f"{_hardest(system, full, u)}; its force is not smooth, or the mechanism is near a "
-        "singular configuration; raise the tolerance, or smooth the force"
+        f"last finite state at t = {y.t:.9g} s: fastest {kind} {name} with {speed:.3g}/s; "
+        f"positions {', '.join(places[:_SHOWN])}{more}"
     )
 
 
-def _hardest(system: System, full: State, u: Array | None) -> str:
-    a = np.abs(system.integrated(system.evaluate(full, u).a))
-    return f"{_joint(system, a)} has the largest acceleration"
+class Overshoots:
+    """The largest overshoot at every end of every stop of a system.
+
+    A stop that acts before its end is reached is not passed. A stop that a step jumps over is.
+    Steps in which no bounded row acts cost nothing.
+
+    Args:
+        system: The system, with smoothed stops.
+    """
+
+    def __init__(self, system: Any) -> None:
+        self._system = system
+        stops = [stop for block in system.layout.smoothed for stop in block.part.stops]
+        self._joints = [stop.joint for stop in stops] * 2
+        self._q = np.array([joint.q for joint in self._joints], dtype=np.intp)
+        self._v = np.array([joint.v for joint in self._joints], dtype=np.intp)
+        self._signs = np.repeat([-1.0, 1.0], len(stops))
+        ends = [stop.lower for stop in stops] + [stop.upper for stop in stops]
+        self._ends = self._signs * ends
+        self._speed, self._when = np.zeros((2, len(ends)))
+        self._first = self._worst = np.zeros(len(ends))
+        self._limit, self._seen = self._ends + self._worst, None
+
+    def begin(self, y: Any) -> None:
+        """Forget all; ends that the first state is beyond do not count."""
+        self._first = np.maximum(self._outwards(y) - self._ends, 0.0)
+        self._speed, self._when = np.zeros((2, len(self._ends)))
+        self._worst, self._limit, self._seen = self._first, self._ends + self._first, y
+
+    def memory(self) -> Memory:
+        """What was seen so far, as a value of its own."""
+        return {name: copied(getattr(self, name)) for name in _KEPT}
+
+    def recall(self, memory: Memory, y: Any) -> None:
+        """Go on from a memory; y is the state from which the next step starts."""
+        for name, value in memory.items():
+            setattr(self, name, recognised(copied(value), y))
+
+    def look(self, y: Any, y_next: Any) -> None:
+        """Look at a step, from one state of the integrated coordinates to the next."""
+        if not self._system.bounded.acts:
+            return
+        if y is not self._seen:  # a stop may act only in the step after that which passed it
+            self._compare(y, y)
+        self._compare(y_next, y)
+        self._seen = y_next
+
+    def found(self) -> list[Overshoot]:
+        """Those that are large enough to report: lower ends, then upper ones, as the stops."""
+        return [
+            Overshoot(
+                self._joints[i],
+                float(self._signs[i] * self._ends[i]),
+                float(self._worst[i]),
+                float(self._when[i]),
+                float(self._speed[i]),
+            )
+            for i in np.flatnonzero(self._worst - self._first > _SAID).tolist()
+        ]
+
+    def _outwards(self, y: Any) -> Array:
+        """Positions of the joints in the direction of every end, shape (2 n,)."""
+        outwards: Array = self._signs * self._system.expand(y).q[self._q]
+        return outwards
+
+    def _compare(self, y: Any, before: Any) -> None:
+        outwards = self._outwards(y)
+        if not (outwards > self._limit).any():
+            return
+        beyond = outwards - self._ends
+        further = beyond > self._worst
+        speed = np.abs(self._system.expand(before).v[self._v])
+        self._when = np.where(further, y.t, self._when)
+        self._speed = np.where(further, np.maximum(speed, self._speed), self._speed)
+        self._worst = np.where(further, beyond, self._worst)
+        self._limit = self._ends + self._worst
 
 
-def _mover(system: System, share: Array) -> str:
-    """What has the largest share, among joints and internal states."""
-    beyond = int(share.argmax()) - system.nv
-    return _joint(system, share[: system.nv]) if beyond < 0 else system.internals.names[beyond]
+class Overshoot(NamedTuple):
+    """A joint beyond a stop.
 
+    Attributes:
+        joint: The joint.
+        end: The end that it passed [rad or m].
+        size: How far it went [rad or m].
+        t: When it was there [s].
+        speed: Its largest speed at the start of the steps that took it there [rad/s or m/s].
+    """
 
-def _joint(system: System, share: Array) -> str:
-    at = int(system.integrated(np.arange(float(system.model.nv)))[int(share.argmax())])
-    names = {joint.v: f"joint {joint.name}" for joint in system.robot.joints}
-    return (names | system.robot.base_titles)[at]
+    joint: Joint
+    end: float
+    size: float
+    t: float
+    speed: float
+
+    def __str__(self) -> str:
+        unit = "m" if self.joint.kind == "prismatic" else "rad"
+        return (
+            f"{self.joint.name} passes its stop at {self.end:g} {unit} by {self.size:.3g} {unit}, "
+            f"at t = {self.t:.6g} s, coming with up to {self.speed:.3g} {unit}/s"
+        )

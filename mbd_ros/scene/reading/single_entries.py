@@ -12,7 +12,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unlimited, refuse_dt
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.methods.simulation.live_simulation import SafeCommand
+from mbd_ros.methods.simulation.safe_command import SafeCommand
 from mbd_ros.scene.built_scene import Solver
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from mbd_ros.compiled.build.compiler import cores
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, MbdError, SceneError, SolveError
-from mbd_ros.methods.simulation.sample_blocks import sample_times
+from mbd_ros.methods.simulation.samples import sample_times
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.compiling import Impossible, attempted

@@ -21,9 +21,10 @@ from mbd_ros.errors import DivergedError, ModelError, SceneError, SolveError
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.table import Result, Table
 from mbd_ros.methods.integration.runge_kutta import NystromStages, RungeKutta
-from mbd_ros.methods.simulation.checked_steps import WINDOW, StallWatch
-from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.safe_command import CommandWatch
 from mbd_ros.methods.simulation.simulation import Simulation
+from mbd_ros.methods.simulation.stall import WINDOW, StallWatch
 from mbd_ros.parts.actuators.series_elastic_drive import SeriesElasticDrive
 from mbd_ros.parts.constraints.dry_friction import DryFriction
 from mbd_ros.parts.integrators.adams import Adams

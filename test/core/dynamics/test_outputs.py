@@ -12,7 +12,8 @@ from mbd_ros.core.contracts import Load, Output, exerted_on
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.errors import DataError, ModelError
 from mbd_ros.files.table import read_result
-from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.safe_command import CommandWatch
 from mbd_ros.scene.schema.code_permission import permitting
 from mbd_ros.scene.schema.renamed import renamed
 

@@ -15,7 +15,7 @@ from mbd_ros.features.control.control_loop import ControlLoop, Guard
 from mbd_ros.features.control.reference import ReferenceGenerator, ReferenceMap
 from mbd_ros.features.control.trajectory import TargetError
 from mbd_ros.methods.control.contract import Control, ControlledJoints, Controller, EffortBox
-from mbd_ros.methods.simulation.live_simulation import SafeCommand
+from mbd_ros.methods.simulation.safe_command import SafeCommand
 
 NAMES = ["joint_1", "joint_2"]
 DT = 1e-3

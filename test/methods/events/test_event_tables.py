@@ -10,7 +10,8 @@ from row_systems import joint, link
 import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.files.table import read_result
-from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.safe_command import CommandWatch
 
 G, HEIGHT, MASS, E = 9.81, 0.5, 2.0, 0.6
 FALL = math.sqrt(2.0 * HEIGHT / G)

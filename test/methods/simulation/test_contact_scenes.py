@@ -6,7 +6,7 @@ import pytest
 from places import ROOT
 
 from mbd_ros.api import load_scene
-from mbd_ros.methods.simulation.simulation import seen_at
+from mbd_ros.methods.simulation.shown_accelerations import seen_at
 
 SCENES = ROOT / "config/scenes"
 GRAVITY = 9.81

@@ -12,7 +12,7 @@ from mbd_ros.api import load_scene
 from mbd_ros.core.state import is_same
 from mbd_ros.core.thresholds import ON_MANIFOLD
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.methods.simulation.sample_blocks import Checkpoint
+from mbd_ros.methods.simulation.samples import Checkpoint
 
 sys.path.append(str(ROOT / "benchmarks"))
 

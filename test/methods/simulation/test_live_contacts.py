@@ -5,7 +5,8 @@ import pytest
 
 import mbd_ros as mbd
 from mbd_ros.core.contracts import Kind, Load, Output
-from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.safe_command import CommandWatch
 from mbd_ros.nodes.shell.contact_topics import contact_details, contacts_of
 
 TICKS = 25

@@ -11,7 +11,8 @@ from mbd_ros.files.body_columns import POSE as POSE_WORDS
 from mbd_ros.files.body_columns import TWIST as TWIST_WORDS
 from mbd_ros.files.body_columns import names_of
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.methods.simulation.live_simulation import CommandWatch, LiveSimulation, SafeCommand
+from mbd_ros.methods.simulation.live_simulation import LiveSimulation
+from mbd_ros.methods.simulation.safe_command import CommandWatch, SafeCommand
 from mbd_ros.motion.state_table import table_of
 
 ROBOTS = ROOT / "config/robots"

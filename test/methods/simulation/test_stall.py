@@ -13,7 +13,7 @@ from places import ROOT
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DivergedError
-from mbd_ros.methods.simulation.checked_steps import WINDOW, StallWatch
+from mbd_ros.methods.simulation.stall import WINDOW, StallWatch
 from mbd_ros.motion.recordings import read_motion
 
 PENDULUM = f"robot: {{urdf: {ROOT}/config/robots/pendulum.urdf}}\n"

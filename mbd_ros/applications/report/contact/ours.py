@@ -11,7 +11,8 @@ from mbd_ros.applications.report.peers.contenders import cpu_time
 from mbd_ros.applications.report.precision.converged import Choice
 from mbd_ros.applications.report.precision.rungs import Record
 from mbd_ros.core.state import Array, State
-from mbd_ros.methods.simulation.simulation import Simulation, seen_at
+from mbd_ros.methods.simulation.shown_accelerations import seen_at
+from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.from_python import scene_from
 

@@ -1,0 +1,144 @@
+"""Simulations that hardly advance: the pace of their steps, and why they are so short."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from mbd_ros.core.dynamics.system import System
+from mbd_ros.core.state import Array, State
+from mbd_ros.core.thresholds import TINY
+from mbd_ros.errors import DivergedError, SolveError
+from mbd_ros.methods.integration.linear_motion import linear_motion
+
+Notice = Callable[[str], None]
+WINDOW = 10_000  # steps between two looks
+_SHORTENED = 0.05  # mean step, in dt: the method has shortened it
+_SHORT = 5.0e-5  # mean step, in dt: far too short
+_LONG = 3.0e6  # steps left at this pace: minutes
+_HOPELESS = 3.0e7  # steps left at this pace: hours
+PATIENCE = 3  # windows in a row without hope
+_AT_THE_LIMIT = 0.3  # rate times step from which on the rate explains the step
+
+
+class StallWatch:
+    """Looks at the pace of a simulation, every `WINDOW` steps.
+
+    A run is slow where the method has shortened its steps and millions of them are left; one
+    notice reports it. A run is hopeless where it takes more than 20 000 steps an interval of the
+    output and tens of millions are left, three looks in a row. A stiff scene whose end is within
+    reach continues, and so does one that is slow for a while.
+
+    Args:
+        system: The system.
+        dt: Interval of the output [s].
+        notice: Is called for a slow run; may be None.
+    """
+
+    def __init__(self, system: System, dt: float, notice: Notice | None = None) -> None:
+        self._system, self._dt, self._notice = system, dt, notice
+        self._hopeless, self._t = 0, 0.0
+
+    def begin(self, t: float) -> None:
+        """Start to look at a time [s]."""
+        self._hopeless, self._t = 0, t
+
+    def look(self, x: State, u: Array | None, end: float) -> None:
+        """Judge the last `WINDOW` steps.
+
+        Args:
+            x: State of the integrated coordinates now.
+            u: Commands.
+            end: Time at which the run is to end [s].
+
+        Raises:
+            DivergedError: There is no hope; names joint, time and likely cause.
+        """
+        step, self._t = (x.t - self._t) / WINDOW, x.t
+        left = (end - x.t) / max(step, TINY)
+        if step > _SHORTENED * self._dt or left < _LONG:
+            self._hopeless = 0
+            return
+        is_hopeless = step < _SHORT * self._dt and left > _HOPELESS
+        self._hopeless = self._hopeless + 1 if is_hopeless else 0
+        if self._hopeless < PATIENCE and self._notice is None:
+            return
+        text = _described(self._system, x, u, step, end)
+        if self._hopeless >= PATIENCE:
+            raise DivergedError(f"stalled: {text}")
+        if self._notice is not None:
+            self._notice(text)
+            self._notice = None
+
+
+def _described(system: System, x: State, u: Array | None, step: float, end: float) -> str:
+    return (
+        f"steps of {step:.2g} s at t = {x.t:.9g} s: {(end - x.t) / max(step, TINY):.2g} of them "
+        f"to the end at {end:g} s; {_cause(system, x, u, step)}"
+    )
+
+
+def _cause(system: System, x: State, u: Array | None, step: float) -> str:
+    """The joint that asks for the short steps, and what makes it do so."""
+    full = system.expand(x)
+    system.k.refresh(full.q, full.v, system.loads.reads)
+    if system.loads.beside(system.k, full) is not system.loads:
+        return (
+            f"{_hardest(system, full, u)}; a switching force chatters at its surface, which "
+            "integrator filippov follows"
+        )
+    try:
+        motion = linear_motion(system, x)
+    except SolveError:
+        return "no acceleration nearby"
+    n = system.nv + system.internals.nz
+    if motion.rate * step > _AT_THE_LIMIT and np.isfinite(motion.rate):
+        first = np.block(
+            [[np.zeros((n, n)), np.eye(n)], [motion.stiffness[:n, :n], motion.damping[:n, :n]]]
+        )
+        values, vectors = np.linalg.eig(first)
+        mode = np.abs(vectors[:, int(np.abs(values).argmax())])
+        return (
+            f"{_mover(system, mode[:n] + mode[n:])} is stiff with a rate of {motion.rate:.3g} "
+            "1/s; soften its force, raise the tolerance or try integrator gauss_legendre"
+        )
+    return (
+        f"{_hardest(system, full, u)}; its force is not smooth, or the mechanism is near a "
+        "singular configuration; raise the tolerance, or smooth the force"
+    )
+
+
+def _hardest(system: System, full: State, u: Array | None) -> str:
+    a = np.abs(system.integrated(system.evaluate(full, u).a))
+    return f"{_joint(system, a)} has the largest acceleration"
+
+
+def _joint(system: System, share: Array) -> str:
+    at = int(system.integrated(np.arange(float(system.model.nv)))[int(share.argmax())])
+    names = {joint.v: f"joint {joint.name}" for joint in system.robot.joints}
+    return (names | system.robot.base_titles)[at]
+
+
+def _mover(system: System, share: Array) -> str:
+    """What has the largest share, among joints and internal states."""
+    beyond = int(share.argmax()) - system.nv
+    return _joint(system, share[: system.nv]) if beyond < 0 else system.internals.names[beyond]
+
+
+def refuse_crawl(
+    system: System, x: State, u: Array | None, step: float, dt: float, end: float
+) -> None:
+    """Refuse to continue within a tick that has taken `PATIENCE` windows of steps.
+
+    Args:
+        system: The system.
+        x: State of the integrated coordinates now.
+        u: Commands.
+        step: Mean step in this tick [s].
+        dt: Interval of the output [s].
+        end: Of the tick [s].
+
+    Raises:
+        DivergedError: Steps are far too short; names joint, time and likely cause.
+    """
+    if step < _SHORT * dt:
+        raise DivergedError(f"stalled: {_described(system, x, u, step, end)}")
