@@ -25,7 +25,6 @@ from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, Torqu
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.shell.stream_parameters import tuning
-from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.check import tier
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
@@ -75,7 +74,7 @@ class Pipeline:
         ages = round(values.wrench_max_age / NANOSECOND), round(values.rewind / NANOSECOND)
         self.queue = WrenchQueue(self.scene.wrenches, *ages)
         self._violation = np.zeros(len(couplings.dependent))
-        self._power: PowerAnswer | None = None
+        self._power: ObservedPower | None = None
 
     def make_solver(self, values: Any) -> SampleSolver:
         """The solver that the parameters ask for.
@@ -112,7 +111,10 @@ class Pipeline:
 
     def with_power(self) -> None:
         """Answer with powers from now on."""
-        self._power = PowerAnswer(self.scene, self._solver)
+        scene = self.scene
+        self._power = ObservedPower(scene.robot, self._solver, scene.wrenches, scene.acting)
+        names = [output.name for output in self._power.outputs]
+        self._power_writer = MultiArrayCdrWriter(len(names), names)
 
     def reset(self) -> None:
         """Forget the past."""
@@ -137,7 +139,7 @@ class Pipeline:
             effort = effort[at.joint_w]
         answer = self._torques.write(x.stamp, position=position, velocity=velocity, effort=effort)
         residuals = self._carried(x.stamp, torques.residual) if self._residuals else []
-        power = None if self._power is None else self._power.write(x, torques, wrenches)
+        power = self._powers(x, torques, wrenches)
         if not self._has_rows:
             return Answer(answer, None, residuals, power)
         self._violation = off = self.estimator.violation(x)
@@ -145,6 +147,13 @@ class Pipeline:
             off = np.concatenate([off, self._solver.gap[len(off) :]])
         forces = self._forces.write(x.stamp, position=off, effort=torques.multipliers)
         return Answer(answer, forces, residuals, power)
+
+    def _powers(self, x: Observation, torques: Torques, wrenches: Sequence[Any]) -> bytes | None:
+        """Float64MultiArray whose labels are names of powers; None where nobody asked."""
+        if self._power is None:
+            return None
+        values = self._power.values(x.position, x.velocity, x.acceleration, torques, wrenches)
+        return self._power_writer.write(values.tolist())
 
     def _carried(self, stamp: int, residual: Array) -> list[Any]:
         """WrenchStamped of each free body, in axes of its link."""
@@ -436,21 +445,3 @@ class WrenchQueue:
         for buffer in self.buffers.values():
             if buffer.covers(stamp + self._rewind // 2):
                 buffer.clear()
-
-
-class PowerAnswer:
-    """Serialized Float64MultiArray whose labels are names of powers.
-
-    Args:
-        solver: What solves its joint states.
-    """
-
-    def __init__(self, scene: Scene, solver: SampleSolver) -> None:
-        self._power = ObservedPower(scene.robot, solver, scene.wrenches, scene.acting)
-        names = [output.name for output in self._power.outputs]
-        self._writer = MultiArrayCdrWriter(len(names), names)
-
-    def write(self, x: Observation, found: Torques, wrenches: Sequence[Any]) -> bytes:
-        """The message of an observation and of what was found for it."""
-        values = self._power.values(x.position, x.velocity, x.acceleration, found, wrenches)
-        return self._writer.write(values.tolist())

@@ -23,7 +23,7 @@ _WORLD = "world"
 _FOLDERS = {Imu: "imu", Pose: "pose", Wrench: "measured_wrench"}
 
 
-class Heard(NamedTuple):
+class SensorSample(NamedTuple):
     """One message of a sensor.
 
     Attributes:
@@ -48,7 +48,7 @@ class SensorMessage(NamedTuple):
     sensor: Sensor
     type: Any
     topic: str
-    read: Callable[[Any], Heard]
+    read: Callable[[Any], SensorSample]
     write: Callable[[int, Array], Any]
 
 
@@ -73,10 +73,10 @@ def _of(robot: Robot, sensor: Any) -> SensorMessage:
 def _imu(sensor: Imu, topic: str) -> SensorMessage:
     noise = sensor.gyro_noise, sensor.acceleration_noise
 
-    def read(msg: Any) -> Heard:
+    def read(msg: Any) -> SensorSample:
         sample = read_imu(msg)
         _refuse(sample.frame_id, sensor.frame)
-        return Heard(sample.stamp, sample.values)
+        return SensorSample(sample.stamp, sample.values)
 
     def write(stamp: int, values: Array) -> Any:
         return write_imu(ImuMessage(), stamp, sensor.frame, values, noise)
@@ -85,11 +85,11 @@ def _imu(sensor: Imu, topic: str) -> SensorMessage:
 
 
 def _pose(sensor: Pose, topic: str) -> SensorMessage:
-    def read(msg: Any) -> Heard:
+    def read(msg: Any) -> SensorSample:
         sample = read_pose(msg)
         _refuse(sample.frame_id, _WORLD)
         turn = quaternion_vector(sample.pose[3:])
-        return Heard(sample.stamp, np.concatenate((sample.pose[:3], turn)))
+        return SensorSample(sample.stamp, np.concatenate((sample.pose[:3], turn)))
 
     def write(stamp: int, values: Array) -> Any:
         pose = np.concatenate((values[:3], vector_quaternion(values[3:])))
@@ -99,10 +99,10 @@ def _pose(sensor: Pose, topic: str) -> SensorMessage:
 
 
 def _wrench(sensor: Wrench, topic: str, frame: str) -> SensorMessage:
-    def read(msg: Any) -> Heard:
+    def read(msg: Any) -> SensorSample:
         sample = read_wrench(msg)
         _refuse(sample.frame_id, frame)
-        return Heard(sample.stamp, sample.wrench)
+        return SensorSample(sample.stamp, sample.wrench)
 
     def write(stamp: int, values: Array) -> Any:
         return write_wrench(WrenchStamped(), stamp, frame, values)

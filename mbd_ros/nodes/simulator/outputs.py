@@ -1,6 +1,5 @@
 """Topics on which the node `simulator` publishes a state."""
 
-from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
@@ -36,7 +35,13 @@ class SimulatorOutputs:
             node.publish_to(JointState, joint_state_topic(member), STATES)
             for member in plant.members
         ]
-        self._odometry = _odometry(node, plant.bodies)
+        self._odometry: list[Publisher] = []
+        if plant.bodies:
+            from nav_msgs.msg import Odometry  # only where something flies
+
+            self._odometry = [
+                node.publish_to(Odometry, odometry_topic(body), STATES) for body in plant.bodies
+            ]
         self._motion = node.publish_to(JointTrajectory, "~/motion", STATES)
         self._forces = self._shown = self._markers = self._events = None
         if plant.rows:
@@ -108,15 +113,6 @@ class SimulatorOutputs:
             if self._markers.get_subscription_count():
                 markers = self._drawing.write(plant.live, stamp, values.marker_scale)
                 self._markers.publish(markers)
-
-
-def _odometry(node: Shell, bodies: Sequence[str]) -> list[Publisher]:
-    """Publishers of free bodies."""
-    if not bodies:
-        return []
-    from nav_msgs.msg import Odometry  # only where something flies
-
-    return [node.publish_to(Odometry, odometry_topic(body), STATES) for body in bodies]
 
 
 class PhaseTopic:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -25,16 +25,11 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.simulation import Tell, build_simulation
 from msg_adapters.errors import MessageError, listed
+from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.joint_trajectory import JointMotionWriter
-from msg_adapters.multi_array import MultiArrayCdrWriter
+from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
 from msg_adapters.time import NANOSECONDS
 from msg_adapters.wrench import read_wrench
-
-if TYPE_CHECKING:
-    from mbd_ros.files.table import Table
-    from mbd_ros.methods.events.event import Event
-    from mbd_ros.methods.simulation.simulation import Simulation
 
 EVERY = "*"  # stands for all links that move
 _PREFIX = "pushed_"
@@ -93,11 +88,19 @@ class Plant:
         self.shown = numbers[count:]
         self._states = [JointStateCdrWriter(list(own)) for own in members.values()]
         self._only = self._states[0] if len(self._states) == 1 else None
-        self._odometry = _odometry(scene)
         self._forces = JointStateCdrWriter(self.rows, ("effort",))
         self._shown = MultiArrayCdrWriter(len(self.shown), self.shown)
         self._motion = JointMotionWriter(JointTrajectory(), JointTrajectoryPoint(), names)
-        self._event_table = _event_table() if self.live.simulation.guards else None
+        self._odometry = []
+        if scene.robot.bases:
+            from msg_adapters.pose import OdometryCdrWriter  # only where something flies
+
+            self._odometry = [OdometryCdrWriter(WORLD, base.frame) for base in scene.robot.bases]
+        self._event_table = None
+        if self.live.simulation.guards:
+            from mbd_ros.features.simulation.events import event_table  # only with events
+
+            self._event_table = event_table
 
     @property
     def time(self) -> int:
@@ -295,19 +298,3 @@ def _loaded(scene: Scene, entries: Mapping[str, Any]) -> Scene:
 
     given = scene.entries.get("external_wrenches") or {}
     return with_sections(scene, external_wrenches={**given, **entries})
-
-
-def _odometry(scene: Scene) -> list[Any]:
-    """Writers of the free bodies."""
-    if not scene.robot.bases:
-        return []
-    from msg_adapters.pose import OdometryCdrWriter  # only where something flies
-
-    return [OdometryCdrWriter(WORLD, base.frame) for base in scene.robot.bases]
-
-
-def _event_table() -> Callable[[Simulation, Sequence[Event]], Table]:
-    """What makes a table of events."""
-    from mbd_ros.features.simulation.events import event_table  # only where something may happen
-
-    return event_table
