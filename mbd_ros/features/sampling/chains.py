@@ -5,7 +5,6 @@ Checkpoints say where the chains of a block stand: from there it goes on with th
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 from math import exp, sqrt
@@ -40,6 +39,7 @@ from mbd_ros.features.sampling.space import HeldSpace, WeightedSpace
 from mbd_ros.features.sampling.task import SampleTask
 from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.progress import progress
+from mbd_ros.jobs.workers.arrays import pack, unpack
 
 _KEYS = ("q", "v", "sweeps", "dt")  # of a checkpoint in a file, beside the number of a block
 _LARGEST = 256  # chains of a block
@@ -420,34 +420,24 @@ def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkp
 def packed_block(done: Sampled) -> dict[str, Any]:
     """What a block of chains gave, as JSON holds it to the bit."""
     return {
-        "values": _packed(done.values),
-        "accepted": _packed(done.accepted),
+        "values": pack(done.values),
+        "accepted": pack(done.accepted),
         "end": packed_checkpoint(done.end),
     }
 
 
-def _packed(values: Array) -> list[Any]:
-    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
-    return [list(values.shape), base64.b64encode(data).decode()]
-
-
 def unpacked_block(value: Mapping[str, Any]) -> Sampled:
-    """The same back."""
-    values, accepted = (_unpacked(value[key]) for key in ("values", "accepted"))
+    """What it was made of."""
+    values, accepted = (unpack(value[key]) for key in ("values", "accepted"))
     return Sampled(values, accepted, unpacked_checkpoint(value["end"]))
-
-
-def _unpacked(packed: Sequence[Any]) -> Array:
-    shape, data = packed
-    return np.frombuffer(base64.b64decode(data), dtype="<f8").reshape(shape).copy()
 
 
 def packed_checkpoint(one: Checkpoint) -> list[Any]:
     """Where a block of chains stands, as JSON holds it to the bit."""
-    return [_packed(one.q), _packed(one.v), one.sweeps, one.dt]
+    return [pack(one.q), pack(one.v), one.sweeps, one.dt]
 
 
 def unpacked_checkpoint(listed: Sequence[Any]) -> Checkpoint:
-    """The same back."""
+    """What it was made of."""
     q, v, sweeps, dt = listed
-    return Checkpoint(_unpacked(q), _unpacked(v), sweeps, dt)
+    return Checkpoint(unpack(q), unpack(v), sweeps, dt)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import base64
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,6 +20,7 @@ from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, RUN, TIME, Column, Result, Table
 from mbd_ros.files.tables.csv import Numbers, read_table
 from mbd_ros.jobs.progress import Say
+from mbd_ros.jobs.workers.arrays import pack, unpack
 from mbd_ros.jobs.workers.opening import do_all, open_workers
 from mbd_ros.jobs.workers.task import Result as Done
 from mbd_ros.jobs.workers.task import Task
@@ -128,16 +128,10 @@ def _joined(found: Sequence[Done], firsts: Sequence[int]) -> Runs:
             raise DataError(f"runs from {first} on: {done.failure}")
         failures |= {first + i: MbdError(text) for i, text in done.value["failures"]}
     return Runs(
-        np.concatenate(list(_states(found))),
+        np.concatenate([unpack(done.value["states"]) for done in found]),
         np.concatenate([np.array(done.value["known"], np.int64) for done in found]),
         failures,
     )
-
-
-def _states(found: Sequence[Done]) -> Iterator[Array]:
-    for done in found:
-        raw = base64.b64decode(done.value["states"])
-        yield np.frombuffer(raw).reshape(done.value["shape"])
 
 
 def ensemble_table(scene: Scene, runs: Runs) -> Table:
@@ -259,8 +253,7 @@ def take(order: Mapping[str, Any]) -> dict[str, Any]:
     p = np.array(order["p"], dtype=np.float64).reshape(count, -1) if names else None
     runs = batch.run(order["duration"], *rows, p)
     return {
-        "states": base64.b64encode(runs.states.tobytes()).decode(),
-        "shape": runs.states.shape,
+        "states": pack(runs.states),
         "known": runs.known.tolist(),
         "failures": [[i, str(error)] for i, error in runs.failures.items()],
     }

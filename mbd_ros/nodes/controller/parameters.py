@@ -107,10 +107,14 @@ def parameters(laws: Sequence[str], chosen: str, takes_code: bool) -> tuple[Para
         takes_code: Whether `controller` may name a law of another package.
     """
     law = Parameter("controller", str, "The control law.", chosen, choices=tuple(laws))
-    return (*COMMON, law._replace(takes_code=takes_code), *_of({n: _gains(n) for n in laws}))
+    return (
+        *COMMON,
+        law._replace(takes_code=takes_code),
+        *_gain_parameters({n: _gains_of_law(n) for n in laws}),
+    )
 
 
-def _of(laws: Mapping[str, Sequence[Argument]]) -> list[Parameter]:
+def _gain_parameters(laws: Mapping[str, Sequence[Argument]]) -> list[Parameter]:
     """Gains of laws, each once, with the laws that have it."""
     first = {gain.name: gain for gains in reversed(laws.values()) for gain in gains}
     order = dict.fromkeys(gain.name for gains in laws.values() for gain in gains)
@@ -125,7 +129,7 @@ def _of(laws: Mapping[str, Sequence[Argument]]) -> list[Parameter]:
     return found
 
 
-def _gains(law: str) -> tuple[Argument, ...]:
+def _gains_of_law(law: str) -> tuple[Argument, ...]:
     """Arguments of a law without the joints.
 
     Raises:
@@ -158,7 +162,7 @@ def with_law(own: tuple[Parameter, ...], law: str) -> tuple[Parameter, ...]:
     """
     if law in PARTS["controllers"]:
         return own
-    other = {gain.name: gain for gain in _of({law: _gains(law)})}
+    other = {gain.name: gain for gain in _gain_parameters({law: _gains_of_law(law)})}
     return (*(p for p in own if p.name not in other), *other.values())
 
 

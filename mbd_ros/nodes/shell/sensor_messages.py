@@ -58,10 +58,10 @@ def sensor_messages(robot: Robot, sensors: Sequence[Sensor]) -> tuple[SensorMess
     Args:
         sensors: Sensors of the scene.
     """
-    return tuple(_of(robot, sensor) for sensor in sensors if type(sensor) in _FOLDERS)
+    return tuple(_message_of(robot, sensor) for sensor in sensors if type(sensor) in _FOLDERS)
 
 
-def _of(robot: Robot, sensor: Any) -> SensorMessage:
+def _message_of(robot: Robot, sensor: Any) -> SensorMessage:
     topic = sensor.label or f"~/{_FOLDERS[type(sensor)]}/{sensor.name}"
     if isinstance(sensor, Imu):
         return _imu(sensor, topic)
