@@ -25,9 +25,9 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.simulation import Tell, build_simulation
 from msg_adapters.errors import MessageError, listed
-from msg_adapters.joint_motion import JointMotionWriter
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
-from msg_adapters.multi_array_cdr import MultiArrayCdrWriter
+from msg_adapters.joint_trajectory import JointMotionWriter
+from msg_adapters.multi_array import MultiArrayCdrWriter
 from msg_adapters.time import NANOSECONDS
 from msg_adapters.wrench import read_wrench
 
