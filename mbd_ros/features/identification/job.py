@@ -30,7 +30,7 @@ from mbd_ros.features.identification.samples import (
     check_still,
     check_units,
 )
-from mbd_ros.features.identification.task import Identified, Task
+from mbd_ros.features.identification.task import Identified, Task, keep_remarks
 from mbd_ros.files.output_file import refuse_overwriting
 from mbd_ros.files.table import Result, Table
 from mbd_ros.jobs.progress import Say, Watch, watching
@@ -130,15 +130,9 @@ def identify(
         known,
         currents,
     )
-    remarks: list[str] = []
-
-    def told(line: str) -> None:
-        remarks.append(line)
-        if say is not None:
-            say(line)
-
+    remarks, tell = keep_remarks(say)
     with watching(progress):
-        return run_identify(scene, task, told)._replace(remarks=remarks)
+        return run_identify(scene, task, tell)._replace(remarks=remarks)
 
 
 def _several(sources: Source | Sequence[Source]) -> list[Source]:
@@ -255,13 +249,8 @@ def identify_to(scene: Scene, task: Task, folder: Path, say: Say) -> None:
     sources: Sequence[Source] = (*task.motions, *task.held, *task.wrenches)
     refuse_overwriting(folder, *(source for source in sources if isinstance(source, Path)))
     description_of(scene)  # refuses scenes that no file can hold
-    lines: list[str] = []
-
-    def told(line: str) -> None:
-        lines.append(line)
-        say(line)
-
-    found = run_identify(scene, task, told)._replace(remarks=lines)
+    lines, tell = keep_remarks(say)
+    found = run_identify(scene, task, tell)._replace(remarks=lines)
     files = {
         "identified.urdf": description_of(found.scene).encode(),
         "scene.yaml": scene_text(found.scene, "identified.urdf").encode(),

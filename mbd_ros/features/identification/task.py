@@ -7,6 +7,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.features.identification.regressor import TERMS
 from mbd_ros.files.table import Table
+from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 
@@ -99,3 +100,15 @@ class Identified(NamedTuple):
     errors: dict[str, float]
     remarks: list[str]
     residuals: tuple[Array, Array, Array, Array] | None
+
+
+def keep_remarks(say: Say | None) -> tuple[list[str], Say]:
+    """A list of lines for people, and what adds lines to it and says them."""
+    remarks: list[str] = []
+
+    def tell(line: str) -> None:
+        remarks.append(line)
+        if say is not None:
+            say(line)
+
+    return remarks, tell

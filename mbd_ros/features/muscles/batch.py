@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from mbd_ros.errors import DataError
-from mbd_ros.features.muscles.job import Sharing, muscles_to
+from mbd_ros.features.muscles.job import muscles_to
 from mbd_ros.features.muscles.task import muscles_task
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.batch import Batch, Outcome, do_batch, do_one, task_of
@@ -33,7 +33,7 @@ def one(argument: Mapping[str, Any]) -> Outcome:
 def _muscles(batch: Batch, say: Say) -> None:
     scene = load_scene(batch.scene)
     asked = muscles_task(scene, batch.options, "muscles")
-    muscles_to(scene, Sharing(task_of(batch), asked, batch.options), batch.out, say)
+    muscles_to(scene, task_of(batch), asked, batch.options, batch.out, say)
 
 
 def _options(given: Mapping[str, Any], task_file: Path | None, scene: Scene) -> dict[str, Any]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,6 @@ from mbd_ros.scene.describe.scene_summary import coordinate_names
 _SHOWN = 5  # frames, coordinates or parts that a line names
 _LACKING = 1.0e-6  # of the largest need: what counts as lacking
 _CHUNK = 256  # frames between two signs of progress
-_NO_OPTIONS: Mapping[str, Any] = {}
 
 
 def muscles(
@@ -102,83 +101,74 @@ def muscles(
         more: dict[str, Any] = {"time_range": time_range, "wrench_axes": wrench_axes}
         task = Task(motion, chosen, wrenches, topic, external=loads, **more)
         asked = muscles_task(scene, options, "muscles")
-        result = run_muscles(scene, Sharing(task, asked, options), say or remarks.append)
+        result = run_muscles(scene, task, asked, options, say or remarks.append)
     if say is None:
         result.metadata["remarks"] = remarks
     return result
 
 
-class Sharing(NamedTuple):
-    """Order of the job.
-
-    Attributes:
-        motion: As inverse dynamics takes it.
-        asked: What is asked of the muscles.
-        options: The same as it was given, for the metadata.
-    """
-
-    motion: Task
-    asked: MusclesTask
-    options: Mapping[str, Any] = _NO_OPTIONS
-
-
-def muscles_to(scene: Scene, order: Sharing, out: Path, say: Say) -> None:
+def muscles_to(
+    scene: Scene, task: Task, asked: MusclesTask, options: Mapping[str, Any], out: Path, say: Say
+) -> None:
     """Read a motion, write what muscles do in it.
 
     Args:
         scene: The scene.
-        order: What is asked for.
+        task: The motion, as inverse dynamics takes it.
+        asked: What is asked of the muscles.
+        options: The same as it was given, for the metadata.
         out: Its suffix chooses the format.
         say: Is told what was done and left out, a line each.
 
     Raises:
         MbdError: As `muscles`, or a place that cannot be written to.
     """
-    task = order.motion
-    files = task.motion, task.wrenches, task.external, order.asked.emg
+    files = task.motion, task.wrenches, task.external, asked.emg
     refuse_overwriting(out, *(source for source in files if isinstance(source, Path)))
     check_place(out)
-    result = run_muscles(scene, order, say)
+    result = run_muscles(scene, task, asked, options, say)
     result.to(out)
     source = result.metadata["inputs"]["derivatives"]
     say(f"{result[MAIN].rows} frames, {source} derivatives -> {out}")
 
 
-def run_muscles(scene: Scene, order: Sharing, say: Say) -> Result:
+def run_muscles(
+    scene: Scene, task: Task, asked: MusclesTask, options: Mapping[str, Any], say: Say
+) -> Result:
     """Do the task of `muscles`."""
-    task, external = order.motion, loads_of_laboratory(scene, order.motion)
+    external = loads_of_laboratory(scene, task)
     if external is not None:
         scene = external.scene
         for text in external.remarks:
             say(text)
     for text in scene.robot.doubts:
         say(f"warning: {text}")
-    solver = order.asked.solver(scene)
+    solver = asked.solver(scene)
     observed = observe_motion(scene, task, say, external)
     samples, wrenches = observed.samples, observed.wrenches
-    emg = measured_activations(order.asked.emg, solver.muscles, samples.stamps)
+    emg = measured_activations(asked.emg, solver.muscles, samples.stamps)
     chunks, motions = [], []
     for shares in _shares(solver, samples, wrenches, emg):
         chunks.append(shares)
         motions.append([values.T for values in solver.motion])
     motion = [np.concatenate(each) for each in zip(*motions, strict=True)]
     lasting: list[Column] = []
-    if order.asked.dynamics is not None:
-        shared = _over_time(solver, order.asked, observed, joined(chunks))
+    if asked.dynamics is not None:
+        shared = _over_time(solver, asked, observed, joined(chunks))
         chunks, lasting = [shared.shares], trial_columns(solver, shared)
         for text in shared.remarks:
             say(text)
     columns = [*share_columns(solver, samples, chunks), *lasting]
-    joint_loads = order.asked.loads(scene)
+    joint_loads = asked.loads(scene)
     if joint_loads is not None:
         found = list(_loads(joint_loads, motion, wrenches, chunks))
-        columns += load_columns(joint_loads, order.asked, solver.muscles, found)
+        columns += load_columns(joint_loads, asked, solver.muscles, found)
     for text in summary(solver, samples, chunks):
         say(text)
     table = Table([*time_columns(samples.stamps), *columns])
     _check_finite(name_of(task.motion), table)
-    done = order._replace(motion=task._replace(derivatives=observed.derivatives))
-    return Result({MAIN: table}, _metadata(scene, done, solver))
+    done = task._replace(derivatives=observed.derivatives)
+    return Result({MAIN: table}, _metadata(scene, done, options, solver))
 
 
 def _shares(
@@ -227,8 +217,9 @@ def _check_finite(where: str, table: Table) -> None:
             raise DataError(f"{where}: {name} at {table['time'][row]:.9g} s is not finite")
 
 
-def _metadata(scene: Scene, order: Sharing, solver: StaticOptimization) -> dict[str, Any]:
-    task = order.motion
+def _metadata(
+    scene: Scene, task: Task, options: Mapping[str, Any], solver: StaticOptimization
+) -> dict[str, Any]:
     source, cutoff, half_width = task.derivatives
     inputs: dict[str, Any] = {
         "motion": task.motion,
@@ -239,7 +230,7 @@ def _metadata(scene: Scene, order: Sharing, solver: StaticOptimization) -> dict[
         "derivatives": source,
         "cutoff": cutoff,
         "half_width": half_width,
-        **order.options,
+        **options,
     }
     about = metadata_of("muscles", scene, inputs, topics(solver))
     return {**about, "stamps": "recorded"}

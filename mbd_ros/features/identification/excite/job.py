@@ -10,6 +10,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.features.identification.base_parameters import base_parameters
 from mbd_ros.features.identification.excite.excitation import Fourier, Limits, refuse
 from mbd_ros.features.identification.regressor import Regressor, random_states
+from mbd_ros.features.identification.task import keep_remarks
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
@@ -84,20 +85,15 @@ def excite(
     """
     refuse(scene)
     _check(period, harmonics, share, evaluations)
-    search, remarks = _Search(scene, period, harmonics, share), list[str]()
-
-    def told(line: str) -> None:
-        remarks.append(line)
-        if say is not None:
-            say(line)
-
+    search = _Search(scene, period, harmonics, share)
+    remarks, tell = keep_remarks(say)
     for line in search.limits.remarks:
-        told(line)
+        tell(line)
     with watching(progress):
         x, at_random = search.best(evaluations, seed)
     motion = search.kept(x)
     condition = search.condition(motion)
-    told(
+    tell(
         f"condition number {condition:.3g}, best of {_RANDOM_MOTIONS} random motions "
         f"{at_random:.3g}; {len(search.chosen)} base parameters"
     )

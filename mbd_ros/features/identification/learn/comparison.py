@@ -11,7 +11,6 @@ All of them see the same seconds and are asked for the efforts, as measured, of 
 """
 
 from collections.abc import Callable, Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -49,19 +48,7 @@ Torque = Callable[[Samples], Array]
 Asked = Callable[[Scales, np.random.Generator], tuple[Samples, Array]]
 
 
-class Comparison(NamedTuple):
-    """Errors by way, seconds and seed.
-
-    Attributes:
-        table: A run a row.
-        summary: A way and an amount of data a row: mean, least and largest error of the seeds.
-    """
-
-    table: Table
-    summary: Table
-
-
-def compare(scene: Scene, task: Task, seeds: Sequence[int], say: Say) -> Comparison:
+def compare(scene: Scene, task: Task, seeds: Sequence[int], say: Say) -> tuple[Table, Table]:
     """Ask all ways for torques of what comes last.
 
     Args:
@@ -69,6 +56,10 @@ def compare(scene: Scene, task: Task, seeds: Sequence[int], say: Say) -> Compari
         task: What is asked for; of one recording.
         seeds: Of the networks.
         say: Is told each amount of data.
+
+    Returns:
+        Errors with a run a row, and with a way and an amount of data a row: mean, least and
+        largest error of the seeds.
 
     Raises:
         DataError: As `learn`; or there are several recordings, or nothing is left for the test.
@@ -91,7 +82,7 @@ def compare(scene: Scene, task: Task, seeds: Sequence[int], say: Say) -> Compari
         means = {way: np.mean([e for _, w, _, e in some if w == way]) for way in WAYS}
         texts = (f"{way} {100 * mean:.2f} %" for way, mean in means.items())
         say(f"{seconds:.3g} s: {', '.join(texts)}")
-    return Comparison(_table(rows), _summary(rows, amounts))
+    return _table(rows), _summary(rows, amounts)
 
 
 def _ways(
@@ -194,8 +185,8 @@ def _black_box(task: Task, learned: Samples, test: Samples, asked: Asked | None)
         at, torque = asked(scales, random)
         states = Collocation(at, torque / scales.torque, INFORMED)
     plan = Plan(_MORE * task.rounds, seed=task.seed, rate=task.rate)
-    found = train(network, weights, few, few.effort / scales.torque, plan, states)
-    return share_of(said_by(network, found.weights, test), test.measured)
+    weights, _ = train(network, weights, few, few.effort / scales.torque, plan, states)
+    return share_of(said_by(network, weights, test), test.measured)
 
 
 def _asked(scene: Scene, recordings: Recordings, add: Torque) -> Asked:

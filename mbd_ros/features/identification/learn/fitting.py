@@ -148,14 +148,14 @@ def _new(
     if task.variant == "informed":
         around = collocation(few, np.zeros_like(wanted), random)
     plan = Plan(task.rounds, seed=task.seed, rate=task.rate)
-    found = train(network, weights, few, wanted, plan, around, tell)
-    trust = trusted(found.unseen, wanted, len(found.weights["W1"]), kind == "structured")
+    weights, unseen = train(network, weights, few, wanted, plan, around, tell)
+    trust = trusted(unseen, wanted, len(weights["W1"]), kind == "structured")
     columns = Columns(scene, joints, scales)
-    said = trust * said_by(network, found.weights, many)
+    said = trust * said_by(network, weights, many)
     known = columns.known(many, said)
     wall = np.zeros(2 * len(joints))
     about = About(kind, "", joints, wall, wall, {})
-    return Learned(about, scales, found.weights, trust, known, columns.none())
+    return Learned(about, scales, weights, trust, known, columns.none())
 
 
 def collocation(samples: Samples, wanted: Array, random: np.random.Generator) -> "Collocation":
@@ -194,7 +194,7 @@ def _all_weights(
         random = np.random.default_rng(task.seed)
         around = collocation(few, np.zeros_like(wanted), random)
     plan = Plan(task.rounds, seed=task.seed, rate=task.rate, leaves_out=False)
-    weights = train(network, start.weights, few, wanted, plan, around, tell).weights
+    weights, _ = train(network, start.weights, few, wanted, plan, around, tell)
     said = said_by(network, weights, many)
     known = start.known.and_also(columns.known(many, said))
     return start._replace(weights=weights, trust=np.ones_like(start.trust), known=known)
@@ -262,4 +262,5 @@ def _beside(
     wanted = np.where(model.trust > 0.0, left / np.maximum(model.trust, 1.0e-300), now)
     plan = Plan(task.rounds, _RANK, _HOLD, task.seed, task.rate, leaves_out=False)
     wanted = wanted / model.scales.torque
-    return train(network, model.weights, few, wanted, plan, None, tell).weights
+    weights, _ = train(network, model.weights, few, wanted, plan, None, tell)
+    return weights

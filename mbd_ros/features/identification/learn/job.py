@@ -18,6 +18,7 @@ from mbd_ros.features.identification.learn.task import FREEZE, Learned, Outcome,
 from mbd_ros.features.identification.outcome import description_of
 from mbd_ros.features.identification.samples import split
 from mbd_ros.features.identification.task import Task as IdentifyTask
+from mbd_ros.features.identification.task import keep_remarks
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.jobs.progress import Say, Watch, share_watch, watching
 from mbd_ros.methods.learned import TrainingRange, numbers_of
@@ -49,15 +50,9 @@ def learn(
             installed.
     """
     loads = [wrenches] if isinstance(wrenches, str | Path | Result) else list(wrenches)
-    remarks: list[str] = []
-
-    def told(line: str) -> None:
-        remarks.append(line)
-        if say is not None:
-            say(line)
-
+    remarks, tell = keep_remarks(say)
     with watching(progress):
-        return run_learn(scene, Task(motions, loads, **options), told)._replace(remarks=remarks)
+        return run_learn(scene, Task(motions, loads, **options), tell)._replace(remarks=remarks)
 
 
 def run_learn(scene: Scene, task: Task, say: Say) -> Outcome:

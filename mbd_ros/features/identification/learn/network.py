@@ -203,18 +203,6 @@ class Collocation(NamedTuple):
     weight: float
 
 
-class Trained(NamedTuple):
-    """A fitted ensemble.
-
-    Attributes:
-        weights: Of all members.
-        unseen: What members say of the block that they never saw, over the scale, shape (n, m).
-    """
-
-    weights: dict[str, Array]
-    unseen: Array
-
-
 def train(
     network: Any,
     weights: Weights,
@@ -223,7 +211,7 @@ def train(
     plan: Plan,
     collocation: Collocation | None = None,
     tell: Callable[[float], None] = lambda share: None,
-) -> Trained:
+) -> tuple[dict[str, Array], Array]:
     """Fit all members.
 
     Args:
@@ -234,6 +222,10 @@ def train(
         plan: How.
         collocation: States at which the equations of motion are asked besides.
         tell: Is told the share that is done.
+
+    Returns:
+        Weights of all members, and what members say of the block that they never saw, over the
+        scale, shape (n, m).
     """
     torch.manual_seed(plan.seed)
     torch.set_num_threads(1)
@@ -268,7 +260,7 @@ def train(
     with torch.no_grad():
         kept = {key: torch.as_tensor(value) for key, value in best.weights.items()}
         said = network.torque(kept, *x).numpy()
-    return Trained(best.weights, np.einsum("enm,en->nm", said, left_out.astype(np.float64)))
+    return best.weights, np.einsum("enm,en->nm", said, left_out.astype(np.float64))
 
 
 def _started(weights: Weights, plan: Plan) -> tuple[dict[str, Any], dict[str, Any]]:

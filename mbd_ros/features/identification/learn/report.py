@@ -154,11 +154,11 @@ def compare_to(scene: Scene, task: Task, folder: Path, seeds: int, say: Say) -> 
     if not 1 <= seeds <= 100:
         raise DataError(f"--seeds {seeds}: accepted are 1 .. 100")
     _refuse(folder, task, None)
-    found = compare(scene, task, range(task.seed, task.seed + seeds), say)
+    runs, summary = compare(scene, task, range(task.seed, task.seed + seeds), say)
     files = {
-        "comparison.csv": csv(found.summary),
-        "runs.csv": csv(found.table),
-        "comparison.png": picture(found.summary),
+        "comparison.csv": csv(summary),
+        "runs.csv": csv(runs),
+        "comparison.png": picture(summary),
     }
     write_files(folder, files, say)
 

@@ -20,7 +20,7 @@ from mbd_ros.features.identification.physical_consistency import consistent
 from mbd_ros.features.identification.problem import Problem
 from mbd_ros.features.identification.regression import Learned, Search, learn
 from mbd_ros.features.identification.samples import check_excitation, check_length
-from mbd_ros.features.identification.task import Task
+from mbd_ros.features.identification.task import Task, keep_remarks
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.motion.recordings import Source
@@ -95,27 +95,21 @@ def payload(
     Raises:
         DataError: Recordings that cannot be read, or that say nothing.
     """
-    remarks: list[str] = []
-
-    def told(line: str) -> None:
-        remarks.append(line)
-        if say is not None:
-            say(line)
-
+    remarks, tell = keep_remarks(say)
     loads = () if wrenches is None else (wrenches,)
     common = Task((motion,), loads, topic, derivatives, band, gains=gains or {}, learned=1.0)
     common = common._replace(partial=partial)
     carrier, place = carrier_of(scene, frame)
     with watching(progress):
         if without is not None:
-            told("the robot alone:")
-            scene = run_identify(scene, common._replace(motions=(without,)), told).scene
-        found = _fitted(scene, common, place, carrier, told)
+            tell("the robot alone:")
+            scene = run_identify(scene, common._replace(motions=(without,)), tell).scene
+        found = _fitted(scene, common, place, carrier, tell)
         nothing = None
         if without is not None:
             alone = common._replace(motions=(without,))
             nothing = _fitted(scene, alone, place, carrier, lambda line: None)
-    return _payload(found, nothing, carrier, told)._replace(remarks=remarks)
+    return _payload(found, nothing, carrier, tell)._replace(remarks=remarks)
 
 
 def carrier_of(scene: Scene, frame: str | None) -> tuple[str, int]:
