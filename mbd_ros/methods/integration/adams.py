@@ -11,7 +11,7 @@ from mbd_ros.core.state import NONE, Array, Memory, Mode, State
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.dop853_tableau import DOP853
 from mbd_ros.methods.integration.polynomial import integrals
-from mbd_ros.methods.integration.runge_kutta import RK4, RungeKutta, Tableau, new_state
+from mbd_ros.methods.integration.runge_kutta import RK4, RungeKutta, Tableau
 from mbd_ros.methods.integration.stepping import NEAR, Stepper, clip
 
 # ---- adams matrices ---------------------------------------------------------------------------
@@ -52,6 +52,7 @@ def adams_weights(order: int, dt: float) -> tuple[Array, Array]:
 # Steps of the explicit Adams methods.
 
 
+_new_state = tuple.__new__  # half the time of the constructor of a NamedTuple
 _LAST = 1.0e-6  # of dt: a step that ends this near to `end` must end there
 
 
@@ -108,7 +109,7 @@ class AdamsSteps(Stepper):
         product(before, after)
         self._head, self._row, self._start = after, row, x
         after_x = (t + self._dt, after_q.copy(), after_v.copy(), NONE, self._mode)
-        self._ready = x = new_state(State, after_x)
+        self._ready = x = _new_state(State, after_x)
         return x
 
     def stride(
@@ -149,7 +150,7 @@ class AdamsSteps(Stepper):
                 count = round((t - x.t) / dt)
                 break
         self._head, self._row = after, row
-        self._ready = x = new_state(State, (t, q.copy(), v.copy(), NONE, self._mode))
+        self._ready = x = _new_state(State, (t, q.copy(), v.copy(), NONE, self._mode))
         return x, count
 
     def restart(self) -> None:
@@ -159,12 +160,12 @@ class AdamsSteps(Stepper):
 
     def again(self, h: float, t: float) -> State:
         """As `Stepper.again`, by the starter; the method starts anew after it."""
-        start, stages = self.began(), self._starter.stages
+        start, starter = self.began(), self._starter
         self._known, self._last, self._ready = 0, None, None
-        if stages.before is not start:
-            self._starter.restart()
-            stages.start(start, None if self._held is None else np.frombuffer(self._held))
-        return stages.advance(h, t)
+        if starter.before is not start:
+            starter.restart()
+            starter.start(start, None if self._held is None else np.frombuffer(self._held))
+        return starter.again(h, t)
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
         """As `Stepper.follow`."""
@@ -179,7 +180,7 @@ class AdamsSteps(Stepper):
             ModelError: t [s] is outside the last step.
         """
         start = self.began()
-        if self._starter.stages.before is start:
+        if self._starter.before is start:
             return self._starter.interpolate(t)
         after, dt = self._ready, self._dt
         if after is None or not start.t - _LAST * dt <= t <= after.t + _LAST * dt:
@@ -261,7 +262,7 @@ class AdamsSteps(Stepper):
     def _keep(self, after: State) -> None:
         """Take over the result of a starting step."""
         row, _, _, head, _, _ = next(self._slots)
-        row[...] = self._starter.stages.first
+        row[...] = self._starter.first
         self._row, self._head = row, head
         self._known += 1
         self._last = after

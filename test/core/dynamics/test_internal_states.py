@@ -20,7 +20,7 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import DivergedError, ModelError, SceneError, SolveError
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.table import Result, Table
-from mbd_ros.methods.integration.runge_kutta import NystromStages, RungeKutta
+from mbd_ros.methods.integration.runge_kutta import RungeKutta
 from mbd_ros.methods.simulation.live_simulation import LiveSimulation
 from mbd_ros.methods.simulation.safe_command import CommandWatch
 from mbd_ros.methods.simulation.simulation import Simulation
@@ -381,7 +381,6 @@ def test_scenes_without_them_take_the_steps_they_took():
     for method, kind in ((Rk4(), RungeKutta), (Adams(), type(Adams().prepare(scene.system(), 1)))):
         simulation = scene.simulation(integrator={"type": type(method).__name__.lower()})
         assert type(simulation.stepper) is kind
-    assert type(scene.simulation(integrator={"type": "rk4"}).stepper.stages) is NystromStages
 
 
 def test_derivatives_are_those_of_the_equations():
