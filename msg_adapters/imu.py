@@ -53,7 +53,6 @@ def write_imu(
     """Fill an Imu without orientation and return it.
 
     Args:
-        msg: To fill.
         stamp: Header stamp [ns].
         frame_id: In whose axes it measures.
         values: Angular velocity [rad/s], then linear acceleration [m/s^2], shape (6,).

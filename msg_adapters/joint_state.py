@@ -149,11 +149,7 @@ class JointStateReader:
 
 
 def read_joint_state(msg: Any) -> JointSample:
-    """Arrays of one message in its own joint order.
-
-    Raises:
-        MessageError: As `JointStateReader.read`.
-    """
+    """Arrays of one message in its own joint order."""
     return JointStateReader(msg.name).read(msg)
 
 

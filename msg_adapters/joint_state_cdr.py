@@ -54,9 +54,6 @@ class JointStateCdrReader:
 
         Args:
             cdr: JointState with its encapsulation.
-
-        Raises:
-            MessageError: As `JointStateReader.read`.
         """
         body = cdr[ENCAPSULATION:]  # a copy whose doubles are aligned
         layout = self._layout

@@ -249,7 +249,6 @@ def write_marker_places(
     Args:
         msg: A fresh MarkerArray.
         stamp: Header stamp [ns].
-        labels: Of the markers.
         places: In the frame [m], shape (n, 3).
         new_marker: The class Marker.
 

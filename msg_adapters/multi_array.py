@@ -132,10 +132,6 @@ class MatrixCdrWriter(MultiArrayCdrWriter):
 
     Two dimensions, as std_msgs has it: labels of rows and of columns, each joined by commas, the
     number of rows and of columns, and strides.
-
-    Args:
-        rows: Labels of the rows.
-        columns: Labels of the columns.
     """
 
     def __init__(self, rows: Sequence[str], columns: Sequence[str]) -> None:

@@ -92,11 +92,7 @@ class OdometryCdrWriter:
     def rows(
         self, stamps: NDArray[np.int64], pose: NDArray[np.float64], twist: NDArray[np.float64]
     ) -> NDArray[np.uint8]:
-        """Many messages, one a row; arguments as those of `write`, one row each.
-
-        Raises:
-            MessageError: As `write`.
-        """
+        """Many messages, one a row; arguments as those of `write`, one row each."""
         for values in (pose, twist):
             if not is_surely_finite(values):
                 lost = np.flatnonzero(~np.isfinite(pose).all(axis=1) | ~np.isfinite(twist).all(1))
@@ -136,7 +132,6 @@ def write_pose(msg: Any, stamp: int, frame_id: str, pose: NDArray[np.float64]) -
     """Fill a PoseStamped and return it.
 
     Args:
-        msg: To fill.
         stamp: Header stamp [ns].
         frame_id: Frame in which the pose is given.
         pose: Place [m], then quaternion (x, y, z, w), shape (7,).

@@ -27,22 +27,14 @@ def write_time(msg: Any, stamp: int) -> None:
 
 
 def stamp_of(sec: int, nanosec: int) -> int:
-    """Both parts of a Time as one number [ns].
-
-    Raises:
-        MessageError: As `read_time`.
-    """
+    """Both parts of a Time as one number [ns]."""
     if not 0 <= nanosec < NANOSECONDS:
         raise MessageError(f"stamp: nanosec is {nanosec}, accepted: 0 to {NANOSECONDS - 1}")
     return sec * NANOSECONDS + nanosec
 
 
 def seconds_of(stamp: int) -> tuple[int, int]:
-    """Whole seconds and remaining nanoseconds of a stamp [ns].
-
-    Raises:
-        MessageError: As `write_time`.
-    """
+    """Whole seconds and remaining nanoseconds of a stamp [ns]."""
     if not _FIRST <= stamp < _END:
         raise MessageError(
             f"stamp: {stamp / NANOSECONDS:.9g} s does not fit into a message, whose seconds are "

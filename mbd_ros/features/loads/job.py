@@ -144,7 +144,7 @@ class LoadsTask(NamedTuple):
 
 
 def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History, list[Instant]]:
-    """See `loads`; also the history behind the result, and its instants."""
+    """Return the result of `loads`, the history behind it, and its instants."""
     units = units_of(task.units)
     try:
         body = FreeBody(scene.robot, task.body, task.joints)

@@ -48,7 +48,6 @@ def exchanged_labels(solver: MarkerFit, fit: Fit, seen: Seen) -> list[Exchange]:
     Args:
         solver: Fits frames.
         fit: The frames as they are labelled.
-        seen: What was seen.
     """
     found = []
     for pair, frames in _probed(solver, fit, seen):

@@ -206,7 +206,6 @@ def residual_table(solver: MarkerKinematics, times: Array, fit: Fit, seen: Seen)
     Args:
         solver: Has the labels.
         times: [s], shape (N,).
-        seen: What was seen.
     """
     apart = np.where(seen.weights > 0.0, np.linalg.norm(fit.misses, axis=2), np.nan)
     there = np.isfinite(apart)
@@ -303,8 +302,6 @@ def axes_lines(
 
     Args:
         start: Default configuration, shape (nq,).
-        seen: What was seen.
-        fit: What was found.
     """
     is_seen = seen.weights > 0.0
     frame = int(is_seen.sum(axis=1).argmax())

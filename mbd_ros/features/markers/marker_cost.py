@@ -70,7 +70,6 @@ class MarkerCost:
 
         Args:
             q: Configurations that keep the couplings, shape (N, nq).
-            seen: What was seen.
             bent: Shares, 0 to 1, of what misses add to the Hessian, shape (N,); all of it by
                 default. Without it no direction has a negative curvature.
         """

@@ -63,7 +63,6 @@ class MarkerFit:
 
         Args:
             start: Configurations, shape (N, nq); brought onto couplings, loops and limits first.
-            seen: What was seen.
             far: Whether starts may be far off: the first steps do without second derivatives of
                 markers then, which would lead to the next saddle.
             steps: At most so many.

@@ -51,7 +51,6 @@ class MarkerKinematics:
         limits: Whether the position limits of joints are kept, dependent ones included.
 
     Attributes:
-        labels: Of the markers.
         solver: Fits frames.
 
     Raises:
@@ -110,7 +109,6 @@ class MarkerKinematics:
 
         Args:
             start: Default configuration, shape (nq,).
-            seen: What was seen.
 
         Raises:
             SolveError: Loops do not close near a start.

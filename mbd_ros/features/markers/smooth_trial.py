@@ -28,7 +28,6 @@ def smooth_trial(solver: MarkerFit, fit: Fit, seen: Seen, smoothness: float) -> 
     Args:
         solver: Its limits are kept; loops are refused.
         fit: Where to start.
-        seen: What was seen.
         smoothness: s, the error of markers over that of the acceleration [m s^2/rad], or
             dimensionless times s^2 for joints that slide.
 

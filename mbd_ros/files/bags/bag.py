@@ -79,7 +79,6 @@ class Bag:
             results: The pieces, at least one; all have the columns and metadata of the first.
 
         Raises:
-            DataError: As `write`.
             DifferentPieceError: A piece has other columns or metadata.
         """
         whole = ""

@@ -182,9 +182,6 @@ def raw_blocks(path: Path, topic: str, msgtype: str) -> Iterator[RawBlock]:
 
     Args:
         msgtype: Type that it must have.
-
-    Raises:
-        DataError: As `raw_messages`.
     """
     with chosen(path, {topic: msgtype}) as (reader, connections, missing):
         for block in _blocks(reader, connections):

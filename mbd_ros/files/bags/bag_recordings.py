@@ -33,7 +33,7 @@ Timed = tuple[int, JointSample | WrenchSample | OdometrySample]  # log time [ns]
 
 
 def bag_motion(path: Path, topic: str, wanted: Wanted) -> Recording:
-    """See `recordings.read_motion`.
+    """Return the motion of joints and free bodies that messages of equal stamps tell.
 
     Args:
         topic: Of the joint states of the only robot; the others are beside it.
@@ -309,7 +309,6 @@ class MotionBlocks:
         """The pieces.
 
         Raises:
-            DataError: As `read_motion`.
             WholeNeededError: A stamp is 0, so that those of the log count from the beginning on.
         """
         self.dropped.clear()
@@ -354,7 +353,7 @@ class WholeNeededError(DataError):
 def bag_wrenches(
     path: Path, names: Mapping[str, str | None], dropped: Counter[str]
 ) -> dict[str, WrenchSamples]:
-    """See `recordings.read_wrenches`."""
+    """Return the wrenches of loads by name, each from its topic; `dropped` counts the rest."""
     topics = {name: _topic(path, name, topic) for name, topic in names.items()}
     samples: dict[str, list[Timed]] = {topic: [] for topic in topics.values()}
     for topic, log_time, msg in messages(path, dict.fromkeys(samples, WRENCH)):
