@@ -20,7 +20,7 @@ from mbd_ros.scene.models.mjcf.bodies import WORLD, Bodies
 from mbd_ros.scene.models.mjcf.equalities import read_closures, read_couplings
 from mbd_ros.scene.models.mjcf.inertia import Meshes, body_inertia, geom_type, mass_of
 from mbd_ros.scene.models.mjcf.item import Compiler, Defaults, compiler_of
-from mbd_ros.scene.models.mjcf.joints import Tree, passive, unexpressed
+from mbd_ros.scene.models.mjcf.mechanism import Tree, passive, unexpressed
 from mbd_ros.scene.models.mjcf.reading import Reading
 from mbd_ros.scene.models.mjcf.tendons import read_tendons
 from mbd_ros.scene.models.names import plain

@@ -37,15 +37,9 @@ from mbd_ros.scene.models.osim.item import Attached, Frames, Item, old_placement
 
 _RIGHT = math.pi / 2.0
 _TURN_NAMES, _SLIDE_NAMES = ("r1", "r2", "r3"), ("tx", "ty", "tz")
-_COUNTS = {
-    **{"PinJoint": 1, "SliderJoint": 1, "UniversalJoint": 2, "PlanarJoint": 3},
-    **{
-        "GimbalJoint": 3,
-        "BallJoint": 3,
-        "FreeJoint": 6,
-        "EllipsoidJoint": 3,
-        "ScapulothoracicJoint": 4,
-    },
+_COUNTS = {  # coordinates that a joint has where the file names fewer
+    **{"PinJoint": 1, "SliderJoint": 1, "UniversalJoint": 2, "PlanarJoint": 3, "GimbalJoint": 3},
+    **{"BallJoint": 3, "FreeJoint": 6, "EllipsoidJoint": 3, "ScapulothoracicJoint": 4},
 }
 
 
