@@ -68,11 +68,7 @@ def follow(
 
 
 def follow_to(scene: Scene, motion: Path, out: Path, options: dict[str, Any], say: Say) -> None:
-    """Read a motion, write the plan that follows it.
-
-    Raises:
-        MbdError: As `follow`, or a place that cannot be written to.
-    """
+    """Read a motion, write the plan that follows it."""
     refuse_overwriting(out, motion)
     check_place(out)
     result = follow(scene, motion, **options, watch=True)

@@ -63,7 +63,7 @@ class LoopWatch:
         names: Joints.
         controller: The control law; may be replaced.
         rest: From `rest_responses`.
-        limits: See there.
+        limits: When the loop counts as lost.
 
     Attributes:
         fault: Why the command has to go safe; empty while it need not.

@@ -142,7 +142,7 @@ class ReferenceGenerator:
         """Take a whole trajectory, by `plan` and `take`; the one before ends.
 
         Raises:
-            TargetError: See `plan`.
+            TargetError: The trajectory is refused by `plan`.
         """
         self.take(t, self.plan(t, times, q, v, a))
 

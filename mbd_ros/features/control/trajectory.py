@@ -278,7 +278,7 @@ class TrajectoryGoal:
 
     Args:
         names: Joints, in the order of all arrays.
-        tolerances: See there.
+        tolerances: How far joints may be from the trajectory and its end.
         begin: Time from which the times of the points count [s].
         end: Of the last point [s].
         rest: When the reference comes to rest, after a ramp to a trajectory from elsewhere [s].

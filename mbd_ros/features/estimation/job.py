@@ -112,11 +112,7 @@ def _task(scene: Scene, task: EstimateTask | str | Path) -> EstimateTask:
 def estimate_to(
     scene: Scene, motion: Path, out: Path, innovations: Path | None, say: Say, **options: Any
 ) -> None:
-    """Read a recording, write the estimate, and perhaps its innovations.
-
-    Raises:
-        MbdError: As `estimate`, or a place that cannot be written to.
-    """
+    """Read a recording, write the estimate, and perhaps its innovations."""
     for place in filter(None, (out, innovations)):
         refuse_overwriting(place, motion)
         check_place(place)

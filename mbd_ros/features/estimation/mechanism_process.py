@@ -48,7 +48,6 @@ class MechanismProcess:
         limits: Whether joints keep their position and velocity limits, in estimators with bounds.
 
     Attributes:
-        simulation: As given.
         tangent: Of its consistent states.
         start: The nearest consistent state to x.
         n: Size of a step.
@@ -90,7 +89,7 @@ class MechanismProcess:
             self.sizes[self.n - nz :] = internal_sizes
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
-        """As `System.evaluate`, with the masses of the state."""
+        """Accelerations and forces at a state, with the masses that are part of it."""
         self._inertias.write(x.z)
         return self._system.evaluate(x, u)
 
@@ -128,7 +127,7 @@ class MechanismProcess:
         return y
 
     def advance(self, x: State, u: Array | None, t: float) -> Transition:
-        """As `Process.advance`; the simulation takes its own steps in between.
+        """The state at a later time, and how it depends on the first; simulated in between.
 
         Raises:
             DivergedError: The state is no longer finite.
@@ -152,32 +151,32 @@ class MechanismProcess:
         return Transition(y, lower.dot(flow).dot(lift), lower.dot(pushed), noise)
 
     def observe(self, x: State, u: Array | None) -> Observation:
-        """As `Process.observe`."""
+        """What the sensors measure at a state, and their derivatives."""
         return self.sensors.observe(x, u, self.tangent)
 
     def plus(self, x: State, d: Array) -> State:
-        """As `Process.plus`."""
+        """The state a step of the tangent away."""
         return self.tangent.plus(x, d)
 
     def minus(self, x1: State, x0: State) -> Array:
-        """As `Process.minus`."""
+        """The step of the tangent between two states, shape (n,)."""
         return self.tangent.minus(x1, x0)
 
     def at_rest(self, x: State, t: float) -> State:
-        """As `Process.at_rest`."""
+        """The state at another time, at rest."""
         return x._replace(t=t, v=np.zeros(x.v.shape))
 
     def unforeseen(self, acceleration: float, dt: float) -> Array:
-        """As `Process.unforeseen`; internal states do not accelerate."""
+        """Variances by unforeseen accelerations, shape (n,); internal states do not accelerate."""
         deviations = acceleration * np.array((0.5 * dt * dt, dt, 0.0))
         return (deviations**2)[self.tangent.levels]
 
     def turned(self, x0: State, x1: State) -> Array | None:
-        """As `Process.turned`."""
+        """From steps at x0 to the same steps at a state beside it, (n, n); None for unity."""
         return self.tangent.turned(x0, x1)
 
     def bounded(self, x: State) -> Bounded:
-        """As `Process.bounded`: limits of joints, and bounds of internal states."""
+        """Limits of joints and bounds of internal states, at a state."""
         return self._limits.at(x)
 
     @property

@@ -45,7 +45,6 @@ class Tracker:
             [rad/s^2 or m/s^2].
 
     Attributes:
-        estimator: As given.
         faults: What is wrong with sensors.
         watch: The newest innovations.
         restarts: How often the estimator began anew, since nothing fitted.

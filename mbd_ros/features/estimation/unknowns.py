@@ -251,7 +251,7 @@ class UncertainLoad(Load):
         self._kept = dict[bytes, Load]()
 
     def bind(self, slots: Slots) -> None:
-        """As `Part.bind`; the load has the first internal states."""
+        """Take places in inputs and internal states; the load has the first of these."""
         super().bind(slots)
         self._kept = {}
 

@@ -197,9 +197,6 @@ def gait_to(
         say: Is told what was found, a line each.
         workers: How many cores scan a basin; None for all.
         scheduler: Of a Dask cluster, in place of them.
-
-    Raises:
-        MbdError: As `gait`, or a place that cannot be written to.
     """
     asked = task_of(scene, task)
     if page is not None and page.suffix not in _PAGES:

@@ -83,8 +83,8 @@ class GaitTask:
         integrator: Entry of the method.
         step_between: Two frames whose distance at the end of a cycle is the length of a step;
             empty for the travel.
-        continuation: See there.
-        basin: See there.
+        continuation: Along which parameter gaits are followed; None for none.
+        basin: From which starts a gait is reached; None for no scan.
         source: The file, for messages; empty without one.
     """
 

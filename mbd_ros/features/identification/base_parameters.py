@@ -122,7 +122,7 @@ def _symbol(place: str, body: str) -> str:
 
 
 def parameter_name(number: int, bodies: Sequence[str]) -> str:
-    """As `shank.Izz`; moments and first moments about the joint."""
+    """Name of a number, such as `shank.Izz`; moments are about the joint."""
     return f"{bodies[number // COUNT]}.{PLACES[number % COUNT]}"
 
 

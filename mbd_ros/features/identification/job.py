@@ -241,11 +241,7 @@ def moves_as_one(problem: Problem) -> bool:
 
 
 def identify_to(scene: Scene, task: Task, folder: Path, say: Say) -> None:
-    """Write `identified.urdf`, `scene.yaml`, tables (.csv) and `report.html`; all, or none.
-
-    Raises:
-        MbdError: As `identify`, or a place that cannot be written to.
-    """
+    """Write `identified.urdf`, `scene.yaml`, tables (.csv) and `report.html`; all, or none."""
     sources: Sequence[Source] = (*task.motions, *task.held, *task.wrenches)
     refuse_overwriting(folder, *(source for source in sources if isinstance(source, Path)))
     description_of(scene)  # refuses scenes that no file can hold

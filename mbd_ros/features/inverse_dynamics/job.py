@@ -232,9 +232,6 @@ def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
         task: What is asked for.
         out: Its suffix chooses the format.
         say: Is told what was done and left out, a line each.
-
-    Raises:
-        MbdError: As `inverse`, or a place that cannot be written to.
     """
     sources = [s for s in (task.motion, task.wrenches, task.external) if isinstance(s, Path)]
     refuse_overwriting(out, *sources)

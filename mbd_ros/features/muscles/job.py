@@ -119,9 +119,6 @@ def muscles_to(
         options: The same as it was given, for the metadata.
         out: Its suffix chooses the format.
         say: Is told what was done and left out, a line each.
-
-    Raises:
-        MbdError: As `muscles`, or a place that cannot be written to.
     """
     files = task.motion, task.wrenches, task.external, asked.emg
     refuse_overwriting(out, *(source for source in files if isinstance(source, Path)))

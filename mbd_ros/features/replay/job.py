@@ -81,9 +81,6 @@ def replay(
 
     Returns:
         As `compare`; metadata `played` and `answered` as well.
-
-    Raises:
-        MbdError: As `play`, or what it answered cannot be compared.
     """
     scene = load_scene(asked.scene)
     played, answered = play(asked)

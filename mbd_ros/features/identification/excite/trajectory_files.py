@@ -30,9 +30,6 @@ def excite_to(scene: Scene, out: Path, rate: float, options: dict[str, Any], say
         rate: Points a second [Hz].
         options: Of `excite`.
         say: Is told what was done.
-
-    Raises:
-        MbdError: As `excite`, or a place that cannot be written to.
     """
     count = rate * options["period"]
     if not 4 <= count <= _MOST:

@@ -62,7 +62,8 @@ def compare(scene: Scene, task: Task, seeds: Sequence[int], say: Say) -> tuple[T
         largest error of the seeds.
 
     Raises:
-        DataError: As `learn`; or there are several recordings, or nothing is left for the test.
+        DataError: There are several recordings, they cannot be read, or nothing is left for the
+            test.
     """
     task.check()
     if len(task.motions) != 1 or task.learned >= 1.0:

@@ -38,11 +38,7 @@ _MARKS = ("s", "D", "o", "^", "v")
 
 
 def learn_to(scene: Scene, task: Task, folder: Path, start: Path | None, say: Say) -> None:
-    """Write a model into a folder; all files, or none.
-
-    Raises:
-        MbdError: As `learn`, or a place that cannot be written to.
-    """
+    """Write a model into a folder; all files, or none."""
     _refuse(folder, task, start)
     if start is not None:
         model = read_folder(start)
@@ -146,11 +142,7 @@ def _learned(path: Path, arrays: dict[str, Array]) -> Learned:
 
 
 def compare_to(scene: Scene, task: Task, folder: Path, seeds: int, say: Say) -> None:
-    """Write `comparison.csv`, `runs.csv` and `comparison.png`; all, or none.
-
-    Raises:
-        MbdError: As `compare`, or a place that cannot be written to.
-    """
+    """Write `comparison.csv`, `runs.csv` and `comparison.png`; all, or none."""
     if not 1 <= seeds <= 100:
         raise DataError(f"--seeds {seeds}: accepted are 1 .. 100")
     _refuse(folder, task, None)

@@ -77,9 +77,6 @@ def moment_arms_to(scene: Scene, motion: File, out: File, topic: str, say: Say) 
         out: Its suffix chooses the format.
         topic: JointState topic of a bag.
         say: Is told what was done.
-
-    Raises:
-        MbdError: As `moment_arms`, or a place that cannot be written to.
     """
     refuse_overwriting(out, motion)
     check_place(out)
