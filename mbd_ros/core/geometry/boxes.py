@@ -48,7 +48,8 @@ class BoxOnBox(Meeting):
         vertices = [f"{side}_{i}" for side in "ab" for i in range(len(CORNERS))]
         edges = [f"edge_{i}_{end}" for i in range(len(_EDGES)) for end in ("in", "out")]
         super().__init__(pair, (*vertices, *edges))
-        self._a, self._b = sides_a / 2.0, sides_b / 2.0
+        self._a = sides_a / 2.0
+        self._b = sides_b / 2.0
         self.reach = float(np.linalg.norm(self._a))
         self._size = float(max(self._a.max(), self._b.max()))
         self._beside = BESIDE * float(min(self._a.min(), self._b.min()))

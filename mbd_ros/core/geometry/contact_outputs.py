@@ -45,7 +45,9 @@ class ContactShow:
     """
 
     def __init__(self, robot: Robot, pair: ContactPair, friction: float | Sequence[float]) -> None:
-        self._pair, self._points, self._origin = pair, pair.points, robot.origin
+        self._pair = pair
+        self._points = pair.points
+        self._origin = robot.origin
         self._mu = np.broadcast_to(np.array(friction, dtype=np.float64), len(pair.features))
         self.names = force_names(pair.features)
         self._has_several = len(pair.features) > 1
@@ -81,7 +83,9 @@ class ContactShow:
         mu = float(self._mu[states > OPEN].max(initial=0.0))
         return [
             *shown,
-            *(force, torque, centre + self._origin),
+            force,
+            torque,
+            centre + self._origin,
             np.concatenate((centre, force, torque)),
             np.concatenate((centre, -force, -torque)),
             np.array((*centre, *normal, mu)),

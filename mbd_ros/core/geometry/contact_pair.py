@@ -183,7 +183,8 @@ class ContactPair:
         self.features = tuple(name for one in met for name in one.meeting.features)
         self.why_not = next((m.meeting.why_not for m in met if m.meeting.why_not), "")
         self.is_smooth = not self.why_not
-        self._met, self._margin = met, margin
+        self._met = met
+        self._margin = margin
         pair = met[0].meeting.pair
         self.bodies: tuple[Pair, float] = (pair, reach)
         self.points: tuple[Point, Point] = (pair.b, pair.a)

@@ -56,12 +56,14 @@ class ConvexOnConvex(Meeting):
 
     def __init__(self, pair: Pair, a: Polyhedron, b: Polyhedron) -> None:
         super().__init__(pair, ("nearest", *(f"corner_{i}" for i in range(4))))
-        self._a, self._b = a, b
+        self._a = a
+        self._b = b
         self.reach = float(lengths(a.vertices).max()) + a.radius
         self._round = a.radius + b.radius
         self._size = min(a.size, b.size)
         self._beside = BESIDE * self._size
-        self._shapes, self._request = (_hull(a), _hull(b)), coal.DistanceRequest()
+        self._shapes = (_hull(a), _hull(b))
+        self._request = coal.DistanceRequest()
         self._request.gjk_tolerance = _SEARCHED
 
     def room(self, seen: PairMotion, gaps: Array) -> float:

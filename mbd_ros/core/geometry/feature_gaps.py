@@ -48,7 +48,8 @@ class Meeting:
     why_not: str = ""
 
     def __init__(self, pair: Pair, features: tuple[str, ...]) -> None:
-        self.pair, self.features = pair, features
+        self.pair = pair
+        self.features = features
 
     def touch(self, pose: Any) -> Touch:
         """Gaps, contact points and frames at a `Pose` of real, complex or symbolic numbers."""

@@ -42,7 +42,8 @@ class BallsOnPlane(Meeting):
     def __init__(self, pair: Pair, balls: Balls) -> None:
         super().__init__(pair, balls.names)
         self.reach = balls.reach
-        self._centres, self._radii = balls.centres, balls.radii
+        self._centres = balls.centres
+        self._radii = balls.radii
         n = len(balls.names)
         self._axes = np.broadcast_to(PLANE_AXES, (n, 3, 3))
         self._rows = np.zeros((n, 3, 6))
@@ -156,7 +157,8 @@ class BallsOnSolid(Meeting):
     def __init__(self, pair: Pair, balls: Balls, solid: Box | Capsule | Cylinder | Mesh) -> None:
         super().__init__(pair, balls.names)
         self.reach = balls.reach
-        self._centres, self._radii = balls.centres, balls.radii
+        self._centres = balls.centres
+        self._radii = balls.radii
         self._distance, what = _distance_to(solid)
         self.why_not = f"the curvature of a {what} jumps where its sides meet"
 
@@ -319,7 +321,8 @@ class CylinderOnPlane(Meeting):
 
     def __init__(self, pair: Pair, cylinder: Cylinder) -> None:
         super().__init__(pair, tuple(f"{way}_{end}" for end in (0, 1) for way in _AROUND))
-        self._radius, self._half = cylinder.radius, cylinder.length / 2.0
+        self._radius = cylinder.radius
+        self._half = cylinder.length / 2.0
         self.reach = float(np.hypot(self._radius, self._half))
         self._axes = np.broadcast_to(PLANE_AXES, (len(self.features), 3, 3))
 

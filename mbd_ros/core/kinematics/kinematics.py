@@ -61,12 +61,17 @@ class Kinematics:
             return _Bound(partial(bind, model, data), find)
 
         at, pair = places.points.__getitem__, places.pairs.__getitem__
-        self._position, self._rotation = bound(_position, at), bound(_rotation, at)
-        self._velocity, self._acceleration = bound(_velocity, at), bound(_acceleration, at)
-        self._jacobian, self._own_jacobian = bound(_jacobian, at), bound(_own_jacobian, at)
+        self._position = bound(_position, at)
+        self._rotation = bound(_rotation, at)
+        self._velocity = bound(_velocity, at)
+        self._acceleration = bound(_acceleration, at)
+        self._jacobian = bound(_jacobian, at)
+        self._own_jacobian = bound(_own_jacobian, at)
         self._spatial_jacobian = bound(_spatial_jacobian, at)
-        self._motion, self._carried = bound(PairMotion, pair), bound(_carried, places.both)
-        self._place, self._rest = partial(pin.forwardKinematics, model, data), rest
+        self._motion = bound(PairMotion, pair)
+        self._carried = bound(_carried, places.both)
+        self._place = partial(pin.forwardKinematics, model, data)
+        self._rest = rest
         self._differentiate = partial(pin.computeJointJacobians, model, data)
         self._gravity = partial(pin.computeGeneralizedGravity, model, data)
 
@@ -198,7 +203,8 @@ class _Bound(dict[Any, Any]):
 
     def __init__(self, bind: Callable[..., Any], find: Callable[[Any], Any]) -> None:
         super().__init__()
-        self._bind, self._find = bind, find
+        self._bind = bind
+        self._find = find
 
     def __missing__(self, number: Any) -> Any:
         call = self[number] = self._bind(*self._find(number))

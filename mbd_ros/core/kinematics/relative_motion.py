@@ -59,9 +59,15 @@ class PairMotion:
     """
 
     def __init__(self, model: Any, data: Any, a: Place, b: Place, columns: Array) -> None:
-        self._model, self._data, self._columns = model, data, columns
-        self._a, self._b, self._place_a, self._place_b = a.joint, b.joint, a.at, b.at
-        self._joint_a, self._joint_b = data.oMi[a.joint], data.oMi[b.joint]  # live views
+        self._model = model
+        self._data = data
+        self._columns = columns
+        self._a = a.joint
+        self._b = b.joint
+        self._place_a = a.at
+        self._place_b = b.at
+        self._joint_a = data.oMi[a.joint]
+        self._joint_b = data.oMi[b.joint]  # live views
         self._all_columns = data.J.reshape(6, int(model.nv))  # with one joint it is a vector
         self._point_b = b.at.translation.copy()
         at_b = model, data, b.joint, b.at, _WORLD

@@ -31,7 +31,9 @@ class SampledKinematics:
         self, robot: Robot, q: Array, joints: NDArray[np.intp], search: Any = None
     ) -> None:
         self.search = search
-        self._robot, self.q, self._joints = robot, q, joints
+        self._robot = robot
+        self.q = q
+        self._joints = joints
         n, model = len(q), robot.model
         self._columns = [_supporting(model, joint) for joint in joints]
         self._jacobians = np.empty((n, 6, model.nv))

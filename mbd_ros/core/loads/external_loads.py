@@ -47,8 +47,10 @@ class ExternalWrench(Load):
         point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
         threshold: Annotated[NotNegative, Unit("N")] = 0.0,
     ) -> None:
-        self.frame, self.expressed_in = frame, expressed_in or frame
-        self.point, self.threshold = tuple(point), threshold
+        self.frame = frame
+        self.expressed_in = expressed_in or frame
+        self.point = tuple(point)
+        self.threshold = threshold
         self.carrier = robot.carrier(frame)
         self.about = robot.point(self.expressed_in, point)
         self._nv = int(robot.model.nv)
@@ -116,7 +118,8 @@ class WrenchBuffer:
     """
 
     def __init__(self, max_age: int, rewind: int, length: int = 256) -> None:
-        self._max_age, self._rewind = max_age, rewind
+        self._max_age = max_age
+        self._rewind = rewind
         self._samples: deque[tuple[int, Array]] = deque(maxlen=length)
 
     def add(self, stamp: int, wrench: Array) -> bool:

@@ -71,7 +71,8 @@ class Sources:
     """
 
     def __init__(self, idle: Array, given: Sequence[tuple[slice, Source]] = ()) -> None:
-        self.idle, self.given = idle, tuple(given)
+        self.idle = idle
+        self.given = tuple(given)
         self.smooth = tuple((at, source) for at, source in given if source.is_smooth)
 
     def at(self, t: float) -> Array:
@@ -347,7 +348,8 @@ class Polynomials(Source):
         stamps, _ = _table(times, rows.reshape(len(rows), -1), 1)
         _refuse_equal(stamps)
         self._times: list[float] = stamps.tolist()
-        self._coefficients, self._exponents = rows, np.arange(rows.shape[1])
+        self._coefficients = rows
+        self._exponents = np.arange(rows.shape[1])
         last = np.diff(stamps)[:, None] ** self._exponents
         ends = np.matmul(last[:, None], rows[:-1])[:, 0]
         self._jumps = stamps[1:][(ends != rows[1:, 0]).any(axis=1)].tolist()
@@ -393,7 +395,9 @@ class Sampled(Source):
     def __init__(
         self, function: Callable[[float], Array], period: float, origin: float = 0.0
     ) -> None:
-        self._function, self._period, self._origin = function, period, origin
+        self._function = function
+        self._period = period
+        self._origin = origin
 
     def at(self, t: float) -> Array:
         """What the function gives at a time [s], shape (n,)."""

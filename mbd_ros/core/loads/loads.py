@@ -51,7 +51,8 @@ class Loads:
         sources: Sources | None = None,
         watching: Sequence[Part] = (),
     ) -> None:
-        self.forces, self.actuators = tuple(forces), tuple(actuators)
+        self.forces = tuple(forces)
+        self.actuators = tuple(actuators)
         self.watching = tuple(watching)
         self.is_empty = not forces and not actuators
         self.heavy = tuple(force for force in forces if force.has_inertia)
@@ -61,7 +62,8 @@ class Loads:
         self._driven = [slice(*pair) for pair in itertools.pairwise(ends)]
         safe = [one.safe for part in (*actuators, *forces) for one in part.inputs]
         self.sources = Sources(np.array(safe, dtype=np.float64)) if sources is None else sources
-        self.idle, self._has_sources = self.sources.idle, bool(self.sources.given)
+        self.idle = self.sources.idle
+        self._has_sources = bool(self.sources.given)
         self._is_smooth = bool(self.sources.smooth)
         self._zero = np.zeros(nv)
 
@@ -142,7 +144,8 @@ class BodyLoads:
     """
 
     def __init__(self, robot: Robot, wrenches: Sequence[ExternalWrench] = ()) -> None:
-        self._robot, self._wrenches = robot, tuple(wrenches)
+        self._robot = robot
+        self._wrenches = tuple(wrenches)
         self._origin = robot.carrier("universe")
         self._loaded: list[int] = []
         self.forces = pin.StdVec_Force()

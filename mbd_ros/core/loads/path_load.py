@@ -16,7 +16,8 @@ class PathLoad(Load):
     outputs: tuple[Output, ...] = (Output("tension", "N"), Output("length", "m"))
 
     def __init__(self, path: Path) -> None:
-        self.path, self.reads = path, path.reads
+        self.path = path
+        self.reads = path.reads
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
         """The F [N]; positive shortens the path.

@@ -28,7 +28,8 @@ class Linear:
     """
 
     def __init__(self, factor: float, offset: float = 0.0) -> None:
-        self.factor, self.offset = float(factor), float(offset)
+        self.factor = float(factor)
+        self.offset = float(offset)
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
         """f(z), f'(z) and f''(z); z is a float or an array."""
@@ -68,8 +69,10 @@ class Harmonic:
     def __init__(
         self, amplitude: float, angular_frequency: float, phase: float = 0.0, offset: float = 0.0
     ) -> None:
-        self._amplitude, self._rate = float(amplitude), float(angular_frequency)
-        self._phase, self._offset = float(phase), float(offset)
+        self._amplitude = float(amplitude)
+        self._rate = float(angular_frequency)
+        self._phase = float(phase)
+        self._offset = float(offset)
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
         """f(z), f'(z) and f''(z); z is a float, an array or a symbol."""
@@ -103,7 +106,8 @@ class PiecewisePolynomial:
         self._lefts = [float(b) for b in breaks[:-1]]
         self._inner = self._lefts[1:]
         self._rows = [tuple(float(c) for c in row) for row in coefficients]
-        self._left_array, self._row_array = np.array(self._lefts), np.array(self._rows)
+        self._left_array = np.array(self._lefts)
+        self._row_array = np.array(self._rows)
 
     def __call__(self, z: Any) -> tuple[Any, Any, Any]:
         """f(z), f'(z) and f''(z); z is a float, an array or a symbol."""

@@ -38,8 +38,11 @@ class MillardCurves:
         velocity: BezierCurve,
         damping: Number,
     ) -> None:
-        self._active, self._passive, self._tendon = active, passive, tendon
-        self._velocity, self._damping = velocity, damping
+        self._active = active
+        self._passive = passive
+        self._tendon = tendon
+        self._velocity = velocity
+        self._damping = damping
 
     @property
     def key(self) -> Any:

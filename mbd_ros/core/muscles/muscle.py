@@ -51,7 +51,9 @@ class Muscle(PathLoad, Actuator):
         self, path: Path, contraction: Contraction, dynamics: ActivationDynamics, tendon: str
     ) -> None:
         super().__init__(path)
-        self.contraction, self.dynamics, self.tendon = contraction, dynamics, tendon
+        self.contraction = contraction
+        self.dynamics = dynamics
+        self.tendon = tendon
         self.inputs = (Channel("excitation", "-", dynamics.least, 1.0, dynamics.least),)
         states = [Internal("activation", "-", dynamics.least, 1.0)]
         if self.is_elastic:
@@ -146,7 +148,10 @@ class Muscle(PathLoad, Actuator):
         active = self.contraction.active(k, activation, fiber)
         damping = self.contraction.damping(fiber)
         shown = (
-            *(self.tension(k, x, u, length, speed), length, fiber.velocity, active),
+            self.tension(k, x, u, length, speed),
+            length,
+            fiber.velocity,
+            active,
             self.contraction.passive(k, fiber),
             -active * fiber.velocity,
             damping * fiber.velocity,

@@ -29,7 +29,8 @@ class RigidTendons:
     """
 
     def __init__(self, contractions: Sequence[Contraction]) -> None:
-        self._muscles, self._law = tuple(contractions), _stacked(contractions)
+        self._muscles = tuple(contractions)
+        self._law = _stacked(contractions)
         known: dict[Any, list[_Table]] = {}
         for one in contractions:
             if one.curves.key not in known:
@@ -131,7 +132,8 @@ class _Tables:
     def __init__(self, tables: Sequence[_Table]) -> None:
         most = max(len(table.ends) for table in tables) - 1
         shape = (len(tables), most)
-        self._starts, self._pace = np.full(shape, np.inf), np.zeros(shape)
+        self._starts = np.full(shape, np.inf)
+        self._pace = np.zeros(shape)
         self._cells = np.zeros(shape, dtype=np.intp)
         self._lower = np.array([table.ends[0] for table in tables])
         self._upper = np.array([table.ends[-1] for table in tables])
@@ -145,7 +147,8 @@ class _Tables:
             self._starts[i, :m] = table.ends[:-1]
             self._pace[i, :m] = _CELLS / np.diff(table.ends)
             self._cells[i, :m] = rows[id(table)] + _CELLS * np.arange(m)
-        self._rows, self._first = np.concatenate(stack), most * np.arange(len(tables)) - 1
+        self._rows = np.concatenate(stack)
+        self._first = most * np.arange(len(tables)) - 1
 
     def hold(self, at: Array) -> bool:
         """Whether all values are within the tables, shape (.., curves)."""

@@ -46,7 +46,8 @@ class ConstraintRows:
     def __init__(
         self, blocks: Sequence[RowBlock], nv: int, gains: tuple[float, float] = (0.0, 0.0)
     ) -> None:
-        self.blocks, self.gains = tuple(blocks), gains
+        self.blocks = tuple(blocks)
+        self.gains = gains
         self.parts = tuple(block.part for block in blocks)
         self.rows = tuple(row for block in blocks for row in block.rows)
         every = [np.arange(block.slots.start, block.slots.stop) for block in blocks]
@@ -57,8 +58,10 @@ class ConstraintRows:
         self.cones = tuple(cone for block, mine in each for cone in block.cones(mine.start))
         self.reads = max((part.reads for part in self.parts), default=Reads.NOTHING)
         m = len(self.rows)
-        self.lower, self.upper = np.full(m, -np.inf), np.full(m, np.inf)
-        self._kp, self._kd = np.zeros(m), np.zeros(m)
+        self.lower = np.full(m, -np.inf)
+        self.upper = np.full(m, np.inf)
+        self._kp = np.zeros(m)
+        self._kd = np.zeros(m)
         self.is_rate = np.zeros(m, dtype=np.bool_)
         for block, mine in zip(self.blocks, self.slices, strict=True):
             self._kp[mine], self._kd[mine] = gains if block.law.is_rigid else block.gains
@@ -71,8 +74,10 @@ class ConstraintRows:
                 self.lower[mine], self.upper[mine] = block.law.lower, block.law.upper
         self.varies = any(block.law.varies for block in self.blocks)
         self.is_corrected = bool(self._kp.any() or self._kd.any())
-        self._J, self._drift = np.zeros((m, nv)), np.zeros(m)
-        self._none, self._no_rows = np.zeros(0), np.zeros((0, nv))
+        self._J = np.zeros((m, nv))
+        self._drift = np.zeros(m)
+        self._none = np.zeros(0)
+        self._no_rows = np.zeros((0, nv))
         self._only = self.parts[0] if len(self.parts) == 1 else None
         self._residuals = [_residual(block) for block in self.blocks]
 

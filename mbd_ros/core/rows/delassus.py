@@ -61,7 +61,8 @@ class RowFactor:
         self._unmoved = np.zeros(len(J), dtype=np.bool_)
         if diagonal.min(initial=1.0) < SMALL_ROW and (unmoved := is_rounding(J)).any():
             self.X[:, unmoved] = self.A[unmoved] = self.A[:, unmoved] = 0.0
-            self._unmoved, diagonal = unmoved, self.A.diagonal()
+            self._unmoved = unmoved
+            diagonal = self.A.diagonal()
         size = diagonal if usual is None else np.maximum(diagonal, usual)
         floor = ZERO_ROW * float(size.max(initial=0.0)) or 1.0
         self._scale = 1.0 / np.sqrt(np.maximum(size, floor))

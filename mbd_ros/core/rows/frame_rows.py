@@ -56,7 +56,8 @@ class PairRows(Constraint):
         rotation: RotationResidual | None = None,
     ) -> None:
         self._pair = pair
-        self._rows, self._rotation = DIRECTIONS[directions], rotation
+        self._rows = DIRECTIONS[directions]
+        self._rotation = rotation
         self._count = len(directions)
         a, turns = pair.a.frame, () if rotation is None else rotation.names
         self.rows = (

@@ -33,7 +33,9 @@ class HeldContact(Constraint):
     reads = Reads.DRIFT
 
     def __init__(self, robot: Robot, contact: Any) -> None:
-        self.contact, self.name, self.reads = contact, contact.name, contact.reads
+        self.contact = contact
+        self.name = contact.name
+        self.reads = contact.reads
         kept = self._kept = np.flatnonzero(_moved(robot, contact))
         if not len(kept):
             raise ModelError(f"contact {contact.name} cannot be held: no joint moves it")

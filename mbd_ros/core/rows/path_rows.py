@@ -24,7 +24,8 @@ class PathRow(Constraint):
     outputs = (Output("length", "m"),)
 
     def __init__(self, path: Path, length: float) -> None:
-        self.path, self._length = path, length
+        self.path = path
+        self._length = length
         self.reads = Reads.DRIFT if path.reads else Reads.NOTHING
 
     def residual(self, k: Kinematics, x: State) -> Array:

@@ -52,11 +52,16 @@ class GearedMotor(Actuator):
         limit: Annotated[Positive, Unit("N·m")] = math.inf,
         smoothing: Smoothing = 1.0e-2,
     ) -> None:
-        self.joint, self.joints = robot.joint(joint), (joint,)
+        self.joint = robot.joint(joint)
+        self.joints = (joint,)
         self.inputs = (Channel("", "N·m", -limit, limit),)
-        self._ratio, self._limit, self._efficiency = ratio, limit, efficiency
-        self._viscous, self._smoothing = ratio**2 * viscous, smoothing
-        self._inertia, self._nv = ratio**2 * rotor_inertia, int(robot.model.nv)
+        self._ratio = ratio
+        self._limit = limit
+        self._efficiency = efficiency
+        self._viscous = ratio**2 * viscous
+        self._smoothing = smoothing
+        self._inertia = ratio**2 * rotor_inertia
+        self._nv = int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,), of the motor torque [N·m], shape (1,)."""

@@ -39,7 +39,8 @@ class Ideal(Actuator):
             raise ModelError(f"joints {list(joints)} must be one or more different joints")
         self.joints = tuple(joints)
         self._v = np.array([robot.joint(name).v for name in joints])
-        self._limit, self._nv = limit, int(robot.model.nv)
+        self._limit = limit
+        self._nv = int(robot.model.nv)
         self._columns = np.zeros((self._nv, len(joints)))
         self._columns[self._v, np.arange(len(joints))] = 1.0
         units = [robot.joint(name).effort_unit for name in joints]

@@ -38,9 +38,12 @@ class SeriesElastic(Actuator):
         damping: Annotated[NotNegative, Unit("N·m·s/rad or N·s/m")] = 0.0,
         limit: Annotated[Positive, Unit("N·m or N")] = math.inf,
     ) -> None:
-        self.joint, self.joints = robot.joint(joint), (joint,)
+        self.joint = robot.joint(joint)
+        self.joints = (joint,)
         self.inputs = (Channel("", self.joint.position_unit),)
-        self._stiffness, self._damping, self._limit = stiffness, damping, limit
+        self._stiffness = stiffness
+        self._damping = damping
+        self._limit = limit
         self._nv = int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:

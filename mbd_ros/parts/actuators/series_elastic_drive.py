@@ -55,14 +55,19 @@ class SeriesElasticDrive(Actuator):
         limit: Annotated[Positive, Unit("N·m")] = math.inf,
         speed: Annotated[Positive, Unit("rad/s")] = math.inf,
     ) -> None:
-        self.joint, self.joints = robot.joint(joint), (joint,)
+        self.joint = robot.joint(joint)
+        self.joints = (joint,)
         self.inputs = (Channel("", "N·m", -limit, limit),)
         turning = Internal("speed", "rad/s", -speed, speed, 0.0)
         self.internal = (Internal("angle", "rad"), turning)
         unit = "N" if self.joint.kind == "prismatic" else "N·m"
         self.outputs = (self.outputs[0]._replace(unit=unit), *self.outputs[1:])
-        self._stiffness, self._damping, self._ratio = stiffness, damping, ratio
-        self._inertia, self._viscous, self._limit = rotor_inertia, viscous, limit
+        self._stiffness = stiffness
+        self._damping = damping
+        self._ratio = ratio
+        self._inertia = rotor_inertia
+        self._viscous = viscous
+        self._limit = limit
         self._speed = speed
         self._nv = int(robot.model.nv)
 

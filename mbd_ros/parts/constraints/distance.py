@@ -47,9 +47,11 @@ class Distance(Constraint):
         point_a: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
         point_b: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
     ) -> None:
-        self._a, self._b = robot.point(frame_a, point_a), robot.point(frame_b, point_b)
+        self._a = robot.point(frame_a, point_a)
+        self._b = robot.point(frame_b, point_b)
         self._moves = np.abs(robot.pair(self._a, self._b).columns)
-        self._distance, self._shortest = distance, _COINCIDENT * distance
+        self._distance = distance
+        self._shortest = _COINCIDENT * distance
         self.rows = (Row("force", "N"),)
         self.outputs = (exerted_on(self._a, self._a), exerted_on(self._b, self._b))
 

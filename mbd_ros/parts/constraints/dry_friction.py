@@ -46,7 +46,8 @@ class DryFriction(Constraint):
         self.gains = (0.0, 1.0 / T)
         self.brings = ("friction",)
         self.rows = (Row(self.joint.effort_name, self.joint.effort_unit),)
-        self._zero, self._jacobian = np.zeros(1), np.zeros((1, robot.model.nv))
+        self._zero = np.zeros(1)
+        self._jacobian = np.zeros((1, robot.model.nv))
         self._jacobian[0, self.joint.v] = 1.0
 
     def jacobian(self, k: Kinematics, x: State) -> Array:

@@ -61,12 +61,16 @@ class JointStop(Constraint):
         n, kp, kd = len(stopped), 1.0 / T**2, 2.0 / T
         self.joints = tuple(one.name for one in stopped)
         self.rows = tuple(Row(_quantity(one, n), one.effort_unit) for one in stopped)
-        self.law, self.gains = unilateral(restitution), (kp, kd)
+        self.law = unilateral(restitution)
+        self.gains = (kp, kd)
         self._lower, self._upper = np.array(ends).T
         self.stops = tuple(Stop(one, *end) for one, end in zip(stopped, ends, strict=True))
-        self._q, self._v = _where([one.q for one in stopped]), _where([one.v for one in stopped])
-        self._each, self._at = np.arange(n), np.array([one.v for one in stopped])
-        self._ahead, self._zero = kd / kp if self.smoothed else 0.0, np.zeros(n)
+        self._q = _where([one.q for one in stopped])
+        self._v = _where([one.v for one in stopped])
+        self._each = np.arange(n)
+        self._at = np.array([one.v for one in stopped])
+        self._ahead = kd / kp if self.smoothed else 0.0
+        self._zero = np.zeros(n)
         self._nv = int(robot.model.nv)
         self._has_bases = robot.floating
         self._q_of = _where([one.q for one in robot.joints])
@@ -76,7 +80,9 @@ class JointStop(Constraint):
         condition = np.array(((kp, kd, 1.0, -kp, 0.0), (-kp, -kd, -1.0, 0.0, kp)))
         self._margins = np.empty((2, len(robot.joints)))
         flat = self._margins.reshape(-1)
-        self._combine, self._smallest, self._item = condition.dot, flat.argmin, flat.item
+        self._combine = condition.dot
+        self._smallest = flat.argmin
+        self._item = flat.item
 
     @staticmethod
     def check(

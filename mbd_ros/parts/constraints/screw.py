@@ -45,11 +45,14 @@ class Screw(Constraint):
             raise ModelError(f"joint '{joint}' is {slider.kind}, accepted: prismatic")
         if turner.kind == "prismatic":
             raise ModelError(f"parent '{parent}' is prismatic, accepted: revolute, continuous")
-        self._slider, self._turner = slider.q, turner.q
-        self._lead, self._offset = pitch / (2.0 * math.pi), offset
+        self._slider = slider.q
+        self._turner = turner.q
+        self._lead = pitch / (2.0 * math.pi)
+        self._offset = offset
         slopes = [0.0] * int(robot.model.nv)  # a list, which holds symbols, too
         slopes[slider.v], slopes[turner.v] = 1.0, -self._lead
-        self._jacobian, self._drift = np.array([slopes]), np.zeros(1)
+        self._jacobian = np.array([slopes])
+        self._drift = np.zeros(1)
         self.rows = (Row("force", "N"),)
 
     def residual(self, k: Kinematics, x: State) -> Array:

@@ -71,8 +71,11 @@ class Compliant(Load):
     """
 
     example = {
-        **{"between": [{"frame": "heel", "sphere": 0.02}, {"half_space": [0, 0, 1]}]},
-        **{"stiffness": 1e5, "dissipation": 200.0, "friction": 0.8, "creep": 0.01},
+        "between": [{"frame": "heel", "sphere": 0.02}, {"half_space": [0, 0, 1]}],
+        "stiffness": 1e5,
+        "dissipation": 200.0,
+        "friction": 0.8,
+        "creep": 0.01,
     }
     reads = Reads.JACOBIAN
 

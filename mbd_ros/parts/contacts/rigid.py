@@ -46,13 +46,12 @@ class Rigid(Constraint):
 
     smoothed = False
     example = {
-        **{
-            "between": [
-                {"frame": "heel", "sphere": 0.02},
-                {"half_space": [0, 0, 1], "xyz": [0, 0, -9]},
-            ]
-        },
-        **{"friction": 0.5, "margin": 0.001},
+        "between": [
+            {"frame": "heel", "sphere": 0.02},
+            {"half_space": [0, 0, 1], "xyz": [0, 0, -9]},
+        ],
+        "friction": 0.5,
+        "margin": 0.001,
     }
     reads = Reads.DRIFT
 

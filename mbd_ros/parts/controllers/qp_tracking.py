@@ -75,7 +75,8 @@ class QpTracking(Controller):
     ) -> None:
         n = len(joints)
         self.joints = joints
-        self._kd, self._weight = per_joint(kd, n, "kd"), per_joint(weight, n, "weight")
+        self._kd = per_joint(kd, n, "kd")
+        self._weight = per_joint(weight, n, "weight")
         self._slope = per_joint(kp, n, "kp") / self._kd
         self._limits = MotionLimits(
             joints.system.robot.joints,

@@ -69,7 +69,8 @@ class SuperTwisting(Controller):
         self._c1 = per_joint(proportional, n, "proportional")
         self._c2 = per_joint(integral, n, "integral", above=1.0)
         self._width = self._limit / self._bandwidth**2
-        self._k1, self._k2 = self._c1 * np.sqrt(self._limit), self._c2 * self._limit
+        self._k1 = self._c1 * np.sqrt(self._limit)
+        self._k2 = self._c2 * self._limit
 
     def begin(self) -> Array:
         """No disturbance known: w = 0 [rad/s^2 or m/s^2], shape (n,)."""

@@ -45,7 +45,8 @@ class TrajectoryTracking(Controller):
                 f"plan: its joints {', '.join(plan.joints)} and inputs {', '.join(plan.inputs)} "
                 f"are not those of the scene, whose inputs are {', '.join(joints.names)}"
             )
-        self.joints, self.plan = joints, plan
+        self.joints = joints
+        self.plan = plan
         at = [robot.joint(name) for name in plan.joints]
         self._q, self._v = (np.array([getattr(j, f) for j in at], dtype=np.intp) for f in "qv")
         self._order = [plan.inputs.index(name) for name in joints.names]

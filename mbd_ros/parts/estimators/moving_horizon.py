@@ -56,8 +56,12 @@ class MovingHorizon(Estimator):
         keep_bounds: bool = True,
     ) -> None:
         super().__init__(process)
-        self.samples, self.arrival, self.keep_bounds = samples, arrival, keep_bounds
-        self.iterations, self.settled, self.relinearize = iterations, settled, relinearize
+        self.samples = samples
+        self.arrival = arrival
+        self.keep_bounds = keep_bounds
+        self.iterations = iterations
+        self.settled = settled
+        self.relinearize = relinearize
         try:
             low, high = (np.broadcast_to(np.asarray(b, float), process.nw) for b in (lower, upper))
         except ValueError as error:
@@ -68,7 +72,8 @@ class MovingHorizon(Estimator):
             raise ModelError("a lower bound of a disturbance is above its upper one")
         self._program = HorizonProgram(process, low, high)
         self._chain = HorizonChain(process, low, high)
-        self._low, self._high = low, high
+        self._low = low
+        self._high = high
 
     def begin(self, x: Any, P: Array, t: float = 0.0) -> Belief:
         """As `Estimator.begin`."""

@@ -42,7 +42,8 @@ class AppliedWrench(Load):
         point: Annotated[Vector, Unit("m")] = (0.0, 0.0, 0.0),
         expressed_in: Literal["world", "frame"] = "world",
     ) -> None:
-        self._point, self._turns = robot.point(frame, point), expressed_in == "frame"
+        self._point = robot.point(frame, point)
+        self._turns = expressed_in == "frame"
         if not self._point.moves:
             raise ModelError(f"frame '{frame}' does not move, a load on it changes nothing")
         self._wrench = np.array([*force, *torque])

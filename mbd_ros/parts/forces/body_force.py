@@ -58,7 +58,8 @@ class BodyForce(Load):
         along, none = np.array(direction) / length, np.zeros(3)
         is_torque = kind == "torque"
         self._load = np.concatenate((none, along) if is_torque else (along, none))
-        self._turns, self._limit = expressed_in == "frame", limit
+        self._turns = expressed_in == "frame"
+        self._limit = limit
         self.inputs = (Channel("", "N·m" if is_torque else "N", -limit, limit),)
 
     @staticmethod

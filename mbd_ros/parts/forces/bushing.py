@@ -45,8 +45,11 @@ class Bushing(Load):
 
     reads = Reads.JACOBIAN
     example = {
-        **{"frame_a": "shank", "frame_b": "foot", "stiffness": [100.0, 200.0, 300.0]},
-        **{"angular_stiffness": [5.0, 6.0, 7.0], "angular_damping": [0.1, 0.2, 0.3]},
+        "frame_a": "shank",
+        "frame_b": "foot",
+        "stiffness": [100.0, 200.0, 300.0],
+        "angular_stiffness": [5.0, 6.0, 7.0],
+        "angular_damping": [0.1, 0.2, 0.3],
     }
 
     def __init__(

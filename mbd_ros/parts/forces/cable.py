@@ -48,7 +48,9 @@ class Cable(PathLoad):
         damping: Annotated[NotNegative, Unit("N·s/m")] = 0.0,
     ) -> None:
         super().__init__(path)
-        self._stiffness, self._damping, self._slack = stiffness, damping, slack_length
+        self._stiffness = stiffness
+        self._damping = damping
+        self._slack = slack_length
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
         """The F [N]."""

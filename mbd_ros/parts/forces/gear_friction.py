@@ -56,9 +56,14 @@ class GearFriction(Load):
         also: Annotated[Mapping[str, float], Unit("rad/rad")] = {},
     ) -> None:
         self.joint = robot.joint(joint)
-        self._coulomb, self._load, self._stribeck = coulomb, load, stribeck
-        self._at, self._viscous, self._offset = stribeck_velocity, viscous, offset
-        self._inertia, self._smoothing = rotor_inertia, smoothing
+        self._coulomb = coulomb
+        self._load = load
+        self._stribeck = stribeck
+        self._at = stribeck_velocity
+        self._viscous = viscous
+        self._offset = offset
+        self._inertia = rotor_inertia
+        self._smoothing = smoothing
         self._nv = int(robot.model.nv)
         self._also = [(robot.joint(name).v, ratio) for name, ratio in also.items()]
         self.brings = ("friction", "damping")

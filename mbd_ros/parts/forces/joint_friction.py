@@ -31,7 +31,9 @@ class JointFriction(Load):
         smoothing: Smoothing = 1.0e-2,
     ) -> None:
         self.joint = robot.joint(joint)
-        self._coulomb, self._viscous, self._smoothing = coulomb, viscous, smoothing
+        self._coulomb = coulomb
+        self._viscous = viscous
+        self._smoothing = smoothing
         self._nv = int(robot.model.nv)
         given = {"friction": coulomb, "damping": viscous}
         self.brings = tuple(key for key, value in given.items() if not is_value(value, 0.0))

@@ -31,7 +31,9 @@ class JointSpring(Load):
         damping: Annotated[NotNegative, Unit("N·m·s/rad or N·s/m")] = 0.0,
     ) -> None:
         self.joint = robot.joint(joint)
-        self._stiffness, self._rest, self._damping = stiffness, rest, damping
+        self._stiffness = stiffness
+        self._rest = rest
+        self._damping = damping
         self._nv = int(robot.model.nv)
         self.brings = () if is_value(damping, 0.0) else ("damping",)
 

@@ -23,7 +23,8 @@ class JointTorque(Load):
         self, robot: Robot, *, joint: str, torque: Annotated[float, Unit("N·m or N")]
     ) -> None:
         self.joint = robot.joint(joint)
-        self._torque, self._nv = torque, int(robot.model.nv)
+        self._torque = torque
+        self._nv = int(robot.model.nv)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""

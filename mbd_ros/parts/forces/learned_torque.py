@@ -60,9 +60,11 @@ class LearnedTorque(Load):
     ) -> None:
         self.file, self.said = model.name, (said := about(model))
         check_robot(model.name, said, robot)
-        self.joints, self._nv = said.joints, int(robot.model.nv)
+        self.joints = said.joints
+        self._nv = int(robot.model.nv)
         joints = [robot.joint(name) for name in said.joints]
-        self._q, self._v = [joint.q for joint in joints], [joint.v for joint in joints]
+        self._q = [joint.q for joint in joints]
+        self._v = [joint.v for joint in joints]
         self._box = np.ix_(self._v, self._v)
         self._range = TrainingRange(said.low, said.high, fade)
         m = len(joints)

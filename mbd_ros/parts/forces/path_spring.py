@@ -29,7 +29,9 @@ class PathSpring(PathLoad):
 
     example = {
         "path": {"points": [{"frame": "world", "xyz": [0.1, 0.0, 1.0]}, {"frame": "foot"}]},
-        **{"stiffness": 2000.0, "resting_length": 0.3, "dissipation": 0.1},
+        "stiffness": 2000.0,
+        "resting_length": 0.3,
+        "dissipation": 0.1,
     }
 
     def __init__(
@@ -42,7 +44,9 @@ class PathSpring(PathLoad):
         dissipation: Annotated[NotNegative, Unit("s/m")] = 0.0,
     ) -> None:
         super().__init__(path)
-        self._stiffness, self._rest, self._share = stiffness, resting_length, dissipation
+        self._stiffness = stiffness
+        self._rest = resting_length
+        self._share = dissipation
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
         """The F [N]."""

@@ -50,7 +50,9 @@ class PointSpring(PathLoad):
     ) -> None:
         ends = ViaPoint(robot, frame_a, point_a), ViaPoint(robot, frame_b, point_b)
         super().__init__(path_through(robot, sorted(ends, key=lambda end: end.moves)))
-        self._stiffness, self._damping, self._length = stiffness, damping, length
+        self._stiffness = stiffness
+        self._damping = damping
+        self._length = length
 
     def tension(self, k: Kinematics, x: State, u: Array, length: float, speed: float) -> float:
         """The F [N], negative where it pushes."""

@@ -55,12 +55,16 @@ class PushOff(Load):
         axis: Literal["x", "y", "z"] = "y",
         against: str | None = None,
     ) -> None:
-        self.joint, self._point = robot.joint(joint), robot.point(frame)
+        self.joint = robot.joint(joint)
+        self._point = robot.point(frame)
         self._other = None if against is None else robot.point(against)
         if not (self._point.moves or (self._other is not None and self._other.moves)):
             raise ModelError(f"frame '{frame}' does not move, a torque on it changes nothing")
         self._axis = np.eye(6)[3 + "xyz".index(axis)]
-        self._torque, self._angle, self._width, self._lag = torque, angle, width, lag
+        self._torque = torque
+        self._angle = angle
+        self._width = width
+        self._lag = lag
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""

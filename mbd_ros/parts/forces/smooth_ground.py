@@ -48,8 +48,14 @@ class SmoothGround(Load):
     gives_work = True
     outputs = (Output("normal", "N"),)
     example = {
-        **{"frame": "foot", "point": [0.1, 0.0, 0.0], "stiffness": 100.0, "dissipation": 0.1},
-        **{"smoothing": 1.0e-3, "friction": 0.8, "creep": 0.05, "height": 2.0},
+        "frame": "foot",
+        "point": [0.1, 0.0, 0.0],
+        "stiffness": 100.0,
+        "dissipation": 0.1,
+        "smoothing": 1.0e-3,
+        "friction": 0.8,
+        "creep": 0.05,
+        "height": 2.0,
     }
 
     def __init__(
@@ -72,9 +78,13 @@ class SmoothGround(Load):
         length = float(np.linalg.norm(normal))
         if length < _SHORTEST:
             raise ModelError(f"normal {list(normal)} has no length")
-        self._normal, self._height = np.array(normal) / length, height
-        self._stiffness, self._dissipation = stiffness, dissipation
-        self._smoothing, self._friction, self._creep = smoothing, friction, creep
+        self._normal = np.array(normal) / length
+        self._height = height
+        self._stiffness = stiffness
+        self._dissipation = dissipation
+        self._smoothing = smoothing
+        self._friction = friction
+        self._creep = creep
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""

@@ -33,8 +33,13 @@ class SoftLimit(Load):
     """
 
     example = {
-        **{"joint": "ankle", "lower": -0.3, "upper": 0.3, "lower_stiffness": 50.0},
-        **{"upper_stiffness": 40.0, "damping": 1.0, "transition": 0.1},
+        "joint": "ankle",
+        "lower": -0.3,
+        "upper": 0.3,
+        "lower_stiffness": 50.0,
+        "upper_stiffness": 40.0,
+        "damping": 1.0,
+        "transition": 0.1,
     }
 
     def __init__(
@@ -49,9 +54,13 @@ class SoftLimit(Load):
         upper_stiffness: Annotated[NotNegative, Unit("N·m/rad or N/m")] = 0.0,
         damping: Annotated[NotNegative, Unit("N·m·s/rad or N·s/m")] = 0.0,
     ) -> None:
-        self.joint, self._damping, self._width = robot.joint(joint), damping, transition
-        self._lower, self._upper = lower, upper
-        self._below, self._above = lower_stiffness, upper_stiffness
+        self.joint = robot.joint(joint)
+        self._damping = damping
+        self._width = transition
+        self._lower = lower
+        self._upper = upper
+        self._below = lower_stiffness
+        self._above = upper_stiffness
         self._nv = int(robot.model.nv)
 
     @staticmethod

@@ -60,7 +60,8 @@ class SwitchingForce(DiscontinuousForce):
         ]
         self._time = Polynomial(time)
         upper, lower = (_generalized(robot, side) for side in (above, below))
-        self._middle, self._half = 0.5 * (upper + lower), 0.5 * (upper - lower)
+        self._middle = 0.5 * (upper + lower)
+        self._half = 0.5 * (upper - lower)
         self.joints = tuple(robot.joint(name) for name in {**above, **below})
         self.surfaces = ("h of " + ", ".join(dict.fromkeys([*velocity, *position])),)
 

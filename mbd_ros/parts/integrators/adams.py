@@ -39,7 +39,8 @@ class Adams(Integrator):
     def __init__(self, *, order: int = 4) -> None:
         if order not in _ORDERS:
             raise ModelError(f"order {order} is outside {_ORDERS[0]} .. {_ORDERS[-1]}")
-        self.order, self.stable = order, _STABLE[order - _ORDERS[0]]
+        self.order = order
+        self.stable = _STABLE[order - _ORDERS[0]]
 
     def growth(self, motion: LinearMotion, dt: float) -> float:
         """Factor by which a step multiplies a linear motion at most, the history included."""

@@ -49,7 +49,8 @@ class GaussLegendre(Integrator):
             raise ModelError(f"stages {stages}, accepted: 1, 2, 3")
         if not 0.0 < tolerance < 1.0:
             raise ModelError(f"tolerance {tolerance:g}, accepted: between 0 and 1")
-        self.stages, self.tolerance = stages, tolerance
+        self.stages = stages
+        self.tolerance = tolerance
         self.order = 2 * stages
 
     def prepare(self, system: Any, dt: float) -> Stepper:
@@ -69,15 +70,20 @@ class _Steps(Stepper):
     kept = ("_is_fresh", "_is_slow", "_h", "_K", "_turn", "_inverse", "_slopes", "_x", "_after")
 
     def __init__(self, method: GaussLegendre, system: Any, dt: float) -> None:
-        self._system, self._dt, self._tolerance = system, dt, method.tolerance
+        self._system = system
+        self._dt = dt
+        self._tolerance = method.tolerance
         self._name = f"Gauss-Legendre with {method.stages} stages"
         self._a, self._b, self._c = _tableau(method.stages)
-        self._accelerate, self._differentiate = system.accelerator(), system.derivatives
+        self._accelerate = system.accelerator()
+        self._differentiate = system.derivatives
         self._mode: Mode = ()
         self._x = self._after = State(0.0, np.zeros(0), np.zeros(0))
         self._u: Array | None = None
         shape = (method.stages, system.nv)
-        self._K, self._turn, self._r = np.zeros(shape), np.zeros(shape), np.zeros(shape)
+        self._K = np.zeros(shape)
+        self._turn = np.zeros(shape)
+        self._r = np.zeros(shape)
         self._a0 = np.zeros(system.nv)
         self._inverse: Array = np.eye(self._K.size)
         self._slopes: tuple[Array, ...] = ()  # by q and by v, of which the inverse was made

@@ -48,7 +48,8 @@ class GeneralizedAlpha(Integrator):
             raise ModelError(f"spectral_radius {spectral_radius:g}, accepted: 0 <= . < 1")
         if not 0.0 < tolerance < 1.0:
             raise ModelError(f"tolerance {tolerance:g}, accepted: between 0 and 1")
-        self.spectral_radius, self.tolerance = spectral_radius, tolerance
+        self.spectral_radius = spectral_radius
+        self.tolerance = tolerance
 
     def prepare(self, system: Any, dt: float) -> Stepper:
         """A stepper for one system and one step size [s].
@@ -64,19 +65,24 @@ class _Steps(Stepper):
     kept = ("_h", "_is_slow", "_a0", "_vdot0", "_lam0", "_inverse", "_of_q", "_of_g", "_held")
 
     def __init__(self, method: GeneralizedAlpha, system: Any, dt: float) -> None:
-        self._system, self._dt, self._tolerance = system, dt, method.tolerance
-        self._kept, self._is_rate = system.held, system.held.constraints.is_rate
+        self._system = system
+        self._dt = dt
+        self._tolerance = method.tolerance
+        self._kept = system.held
+        self._is_rate = system.held.constraints.is_rate
         self._has_rates = bool(self._is_rate.any())
         self._accelerate = system.accelerator()
         rho = method.spectral_radius
-        self._am, self._af = (2.0 * rho - 1.0) / (rho + 1.0), rho / (rho + 1.0)
+        self._am = (2.0 * rho - 1.0) / (rho + 1.0)
+        self._af = rho / (rho + 1.0)
         self._gamma = 0.5 + self._af - self._am
         self._beta = 0.25 * (self._gamma + 0.5) ** 2
         self._ratio = (1.0 - self._am) / (1.0 - self._af)  # dv'+ / da+
         nv, size = system.nv, system.nv + len(system.held.rows)
         self._a0, self._vdot0, self._of_q = np.zeros((3, nv))
         self._lam0, self._of_g = np.zeros((2, size - nv))
-        self._inverse, self._r = np.eye(size), np.zeros(size)
+        self._inverse = np.eye(size)
+        self._r = np.zeros(size)
         self._balance = balance_of(system)
         self.restart()
 

@@ -34,7 +34,8 @@ class MoreauJean(Integrator):
     example: ClassVar[dict[str, Any]] = {"theta": 0.5}
 
     def __init__(self, *, theta: Annotated[float, Within(0.5, 1.0)] = 0.5) -> None:
-        self.theta, self.order = theta, 2 if theta == 0.5 else 1
+        self.theta = theta
+        self.order = 2 if theta == 0.5 else 1
 
     def prepare(self, system: Any, dt: float) -> Stepper:
         """The stepper for one system and one step size [s]."""
@@ -46,7 +47,8 @@ class _Steps(Stepper):
 
     def __init__(self, system: Any, theta: float, dt: float) -> None:
         step = FreeBodyStep if system.robot.bases else MoreauJeanStep
-        self._at, self._dt = step(system, theta), dt
+        self._at = step(system, theta)
+        self._dt = dt
 
     def restart(self) -> None:
         """Forget the impulses and the residuals of earlier steps."""

@@ -61,7 +61,8 @@ class _Steps(Stepper):
     kept = ("_last",)
 
     def __init__(self, system: Any, tolerance: float, dt: float) -> None:
-        self._system, self._dt = system, dt
+        self._system = system
+        self._dt = dt
         self._verlet = ConstrainedVerlet(system, "RATTLE", tolerance)
         self._has_rows = bool(system.rows)
         self.restart()

@@ -99,7 +99,9 @@ class SemiImplicitEulerStepper(Stepper):
     """
 
     def __init__(self, system: Any, dt: float) -> None:
-        self._chart, self._accelerate, self._dt = system.chart, system.accelerator(), dt
+        self._chart = system.chart
+        self._accelerate = system.accelerator()
+        self._dt = dt
         self._a = np.zeros(int(system.nv))
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
@@ -121,7 +123,8 @@ class ImplicitDampingStepper(SemiImplicitEulerStepper):
 
     def __init__(self, system: Any, dt: float) -> None:
         super().__init__(system, dt)
-        self._slopes, self._unit = Linearization(system, self._accelerate), np.eye(system.nv)
+        self._slopes = Linearization(system, self._accelerate)
+        self._unit = np.eye(system.nv)
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by dt, or to `end` if that is nearer; x itself at or after `end`.

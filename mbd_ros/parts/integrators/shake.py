@@ -47,7 +47,8 @@ class Shake(Integrator):
     ) -> None:
         if not 0.0 < tolerance < 1.0:
             raise ModelError(f"tolerance {tolerance:g}, accepted: between 0 and 1")
-        self.tolerance, self.velocity = tolerance, velocity
+        self.tolerance = tolerance
+        self.velocity = velocity
 
     def prepare(self, system: Any, dt: float) -> Stepper:
         """A stepper for one system and one step size [s].
@@ -74,7 +75,8 @@ class _Steps(Stepper):
     kept = ("_ahead",)
 
     def __init__(self, system: Any, tolerance: float, dt: float) -> None:
-        self._system, self._dt = system, dt
+        self._system = system
+        self._dt = dt
         self._verlet = ConstrainedVerlet(system, "SHAKE", tolerance)
         self.restart()
 

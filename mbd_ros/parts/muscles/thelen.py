@@ -74,8 +74,13 @@ class Thelen(Muscle):
         fv_extrapolation: Annotated[float, _SHARE, Unit("-")] = 0.95,
     ) -> None:
         curves = ThelenCurves(
-            *(active_shape, passive_shape, passive_strain, tendon_strain),
-            *(velocity_shape, lengthening_force, fv_extrapolation),
+            active_shape,
+            passive_shape,
+            passive_strain,
+            tendon_strain,
+            velocity_shape,
+            lengthening_force,
+            fv_extrapolation,
         )
         contraction = contraction_of(
             curves,

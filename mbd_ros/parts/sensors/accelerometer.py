@@ -41,9 +41,12 @@ class Accelerometer(Sensor):
         label: str = "",
         delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
-        self.point, self.frame = robot.point(frame, xyz), frame
+        self.point = robot.point(frame, xyz)
+        self.frame = frame
         self.xyz: Sequence[float] = xyz
-        self.noise, self.label, self.delay = noise, label, delay
+        self.noise = noise
+        self.label = label
+        self.delay = delay
         self._gravity = robot.model.gravity.linear.copy()
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:

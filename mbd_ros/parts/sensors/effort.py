@@ -38,9 +38,13 @@ class Effort(Sensor):
         label: str = "",
         delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
-        self.joint, self.noise, self.offset = robot.joint(joint), noise, offset
-        self.label, self.delay = label, delay
-        self.frame, self.unit = joint, self.joint.effort_unit
+        self.joint = robot.joint(joint)
+        self.noise = noise
+        self.offset = offset
+        self.label = label
+        self.delay = delay
+        self.frame = joint
+        self.unit = self.joint.effort_unit
         self._row = [one.name for one in robot.joints].index(joint)
         self._axis = robot.axis(self.joint)
 

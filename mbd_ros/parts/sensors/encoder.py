@@ -36,9 +36,13 @@ class Encoder(Sensor):
         label: str = "",
         delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
-        self.joint, self.noise, self.offset = robot.joint(joint), noise, offset
-        self.label, self.delay = label, delay
-        self.frame, self.unit = joint, self.joint.position_unit
+        self.joint = robot.joint(joint)
+        self.noise = noise
+        self.offset = offset
+        self.label = label
+        self.delay = delay
+        self.frame = joint
+        self.unit = self.joint.position_unit
         self._row = np.zeros((1, int(robot.model.nv)))
         self._row[0, self.joint.v] = 1.0
 

@@ -42,9 +42,11 @@ class Gyroscope(Sensor):
         delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
         self.point = robot.point(frame)
-        self.frame, self.noise = frame, noise
+        self.frame = frame
+        self.noise = noise
         self.offset: Sequence[float] = offset
-        self.label, self.delay = label, delay
+        self.label = label
+        self.delay = delay
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
         """Angular velocity in the axes of the link [rad/s], shape (3,)."""

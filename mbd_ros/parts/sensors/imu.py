@@ -31,8 +31,12 @@ class Imu(Sensor):
     level = Measures.ACCELERATION
     reads = Reads.DRIFT
     components = (
-        *("angular_velocity_x", "angular_velocity_y", "angular_velocity_z"),
-        *("linear_acceleration_x", "linear_acceleration_y", "linear_acceleration_z"),
+        "angular_velocity_x",
+        "angular_velocity_y",
+        "angular_velocity_z",
+        "linear_acceleration_x",
+        "linear_acceleration_y",
+        "linear_acceleration_z",
     )
 
     def __init__(
@@ -46,9 +50,13 @@ class Imu(Sensor):
         label: str = "",
         delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
-        self.point, self.frame, self.xyz = robot.point(frame, xyz), frame, xyz
-        self.gyro_noise, self.acceleration_noise = gyro_noise, acceleration_noise
-        self.label, self.delay = label, delay
+        self.point = robot.point(frame, xyz)
+        self.frame = frame
+        self.xyz = xyz
+        self.gyro_noise = gyro_noise
+        self.acceleration_noise = acceleration_noise
+        self.label = label
+        self.delay = delay
         self._gravity = robot.model.gravity.linear.copy()
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:

@@ -44,10 +44,14 @@ class Marker(Sensor):
         fixed: bool = False,
         noise: Annotated[NotNegative, Unit("m")] = 0.001,
     ) -> None:
-        self.point, self.origin = robot.point(frame, xyz), robot.origin
-        self.frame, self.xyz = frame, xyz
-        self.weight, self.noise = weight, noise
-        self.label, self.fixed = label, fixed
+        self.point = robot.point(frame, xyz)
+        self.origin = robot.origin
+        self.frame = frame
+        self.xyz = xyz
+        self.weight = weight
+        self.noise = noise
+        self.label = label
+        self.fixed = fixed
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
         """Position in the world [m], shape (3,)."""

@@ -49,11 +49,14 @@ class Pose(Sensor):
         label: str = "",
         delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
-        self.point, self.origin = robot.point(frame, xyz), robot.origin
+        self.point = robot.point(frame, xyz)
+        self.origin = robot.origin
         self.frame = frame
         self.xyz: Sequence[float] = xyz
-        self.noise, self.turn_noise = noise, turn_noise
-        self.label, self.delay = label, delay
+        self.noise = noise
+        self.turn_noise = turn_noise
+        self.label = label
+        self.delay = delay
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
         """Position [m] and rotation vector [rad] in the world, shape (6,)."""

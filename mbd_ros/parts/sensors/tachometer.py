@@ -34,9 +34,12 @@ class Tachometer(Sensor):
         label: str = "",
         delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
-        self.joint, self.noise = robot.joint(joint), noise
-        self.label, self.delay = label, delay
-        self.frame, self.unit = joint, f"{self.joint.position_unit}/s"
+        self.joint = robot.joint(joint)
+        self.noise = noise
+        self.label = label
+        self.delay = delay
+        self.frame = joint
+        self.unit = f"{self.joint.position_unit}/s"
         self._row = np.zeros((1, int(robot.model.nv)))
         self._none = np.zeros_like(self._row)
         self._row[0, self.joint.v] = 1.0

@@ -38,9 +38,12 @@ class Wrench(Sensor):
         label: str = "",
         delay: Annotated[NotNegative, Unit("s")] = 0.0,
     ) -> None:
-        self.joint, self.frame = robot.joint(joint), joint
-        self.force_noise, self.torque_noise = force_noise, torque_noise
-        self.label, self.delay = label, delay
+        self.joint = robot.joint(joint)
+        self.frame = joint
+        self.force_noise = force_noise
+        self.torque_noise = torque_noise
+        self.label = label
+        self.delay = delay
         self._row = [one.name for one in robot.joints].index(joint)
 
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:

@@ -25,7 +25,8 @@ class Baumgarte(Stabilization):
             raise ModelError(
                 f"time_constant {time_constant:g} and damping_ratio {damping_ratio:g} must be > 0"
             )
-        self.time_constant, self.damping_ratio = time_constant, damping_ratio
+        self.time_constant = time_constant
+        self.damping_ratio = damping_ratio
 
     def floor(self, dt: float) -> float:
         """The time constant that is used with steps of dt [s]."""

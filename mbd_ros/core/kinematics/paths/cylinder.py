@@ -35,7 +35,8 @@ class Cylinder(Surface):
 
     def __init__(self, radius: float, length: float, side: Side = "all") -> None:
         super().__init__(side)
-        self.size, self.half_length = radius, length / 2.0
+        self.size = radius
+        self.half_length = length / 2.0
 
     def holds(self, points: Array) -> Mask:
         """Whether points are nearer to the axis than the radius, shape (n,)."""

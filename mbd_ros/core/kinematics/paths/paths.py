@@ -189,8 +189,10 @@ class PathBatch:
         self, robot: Robot, couplings: Couplings, paths: Mapping[str, Path], search: Any = None
     ) -> None:
         self._search = search
-        self._robot, self._couplings = robot, couplings
-        self.names, self._paths = tuple(paths), tuple(paths.values())
+        self._robot = robot
+        self._couplings = couplings
+        self.names = tuple(paths)
+        self._paths = tuple(paths.values())
         self._joints = carriers(robot)
 
     @property

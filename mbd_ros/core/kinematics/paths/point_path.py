@@ -223,7 +223,9 @@ class SwitchedPath(Path):
     reads = Reads.JACOBIAN
 
     def __init__(self, interval: Interval, inside: Path, outside: Path) -> None:
-        self._interval, self._inside, self._outside = interval, inside, outside
+        self._interval = interval
+        self._inside = inside
+        self._outside = outside
         self.over = inside.over
 
     def length(self, k: Kinematics, x: State) -> float:

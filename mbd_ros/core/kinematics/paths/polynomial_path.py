@@ -55,7 +55,8 @@ class PolynomialPath(Path):
     ) -> None:
         self._joints = [robot.joint(name) for name in joints]
         self.over = ", ".join(joint.name for joint in self._joints)
-        self._nv, count = int(robot.model.nv), len(joints)
+        self._nv = int(robot.model.nv)
+        count = len(joints)
         limits = list(joints.values())
         for name, pair in joints.items():
             if len(pair) != 2 or not pair[0] < pair[1]:
@@ -67,7 +68,8 @@ class PolynomialPath(Path):
         self._exponents = _checked_exponents(table[:, :count])
         self._coefficients = table[:, count]
         low, high = np.array(limits, dtype=np.float64).T
-        self._middle, self._scale = 0.5 * (low + high), 2.0 / (high - low)
+        self._middle = 0.5 * (low + high)
+        self._scale = 2.0 / (high - low)
 
     def length(self, k: Kinematics, x: State) -> float:
         """The l [m]."""

@@ -35,7 +35,10 @@ class Torus(Surface):
 
     def __init__(self, inner: float, outer: float, side: Side = "all") -> None:
         super().__init__(side)
-        self._r, self._R, self.size, self.outer = inner, outer, inner, outer
+        self._r = inner
+        self._R = outer
+        self.size = inner
+        self.outer = outer
         self._cylinder = Cylinder(inner, _LONG * outer, "x")
 
     def holds(self, points: Array) -> Mask:

@@ -44,7 +44,9 @@ class ViaPoint:
         self, robot: Robot, frame: str, point: Sequence[float], within: Interval | None = None
     ) -> None:
         self.point: Point = robot.point(frame, point)
-        self.frame, self.moves, self.within = frame, self.point.moves, within
+        self.frame = frame
+        self.moves = self.point.moves
+        self.within = within
 
     def position(self, k: Kinematics, x: State) -> Array:
         """Where it is, less `Robot.origin` [m], shape (3,), not to be written to."""
@@ -101,7 +103,8 @@ class MovingViaPoint(ViaPoint):
         begin = np.array([0.0 if axis in functions else float(point[i]) for i, axis in _NUMBERED])
         super().__init__(robot, frame, begin.tolist(), within)
         self._joint = robot.joint(joint)
-        self.moves, self.joint = True, self._joint
+        self.moves = True
+        self.joint = self._joint
         self._axes = [
             (robot.point(frame, (begin + np.eye(3)[i]).tolist()), functions[axis])
             for i, axis in _NUMBERED

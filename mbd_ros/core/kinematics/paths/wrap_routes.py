@@ -44,7 +44,9 @@ class Router:
     """
 
     def __init__(self, points: Array, reaches: Sequence[Reach], places: Sequence[Placed]) -> None:
-        self._points, self._reaches, self._places = points, reaches, places
+        self._points = points
+        self._reaches = reaches
+        self._places = places
         self._solved: dict[tuple[int, tuple[int, ...]], _Solved] = {}
 
     def routes(self) -> list[Route]:

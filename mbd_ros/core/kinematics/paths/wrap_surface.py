@@ -188,7 +188,10 @@ class Wrap:
         rpy: Sequence[float] = (0.0, 0.0, 0.0),
         between: tuple[int, int] | None = None,
     ) -> None:
-        self.name, self.frame, self.surface, self.between = name, frame, surface, between
+        self.name = name
+        self.frame = frame
+        self.surface = surface
+        self.between = between
         self.point: Point = robot.point(frame, xyz, rpy)
         self.axes = [robot.shifted(self.point, axis) for axis in np.eye(3)]
 

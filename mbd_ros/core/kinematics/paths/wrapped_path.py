@@ -52,7 +52,8 @@ class WrappedPath(Path):
         wraps: Sequence[Wrap],
         reaches: Sequence[tuple[int, int]],
     ) -> None:
-        self.points, self.wraps = tuple(points), tuple(wraps)
+        self.points = tuple(points)
+        self.wraps = tuple(wraps)
         self.reaches = [
             Reach(wrap.surface, *reach) for wrap, reach in zip(wraps, reaches, strict=True)
         ]
