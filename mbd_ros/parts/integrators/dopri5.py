@@ -1,19 +1,11 @@
 """Explicit Runge-Kutta method of order 5 by Dormand and Prince."""
 
-import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from mbd_ros.methods.integration.linear_motion import LinearMotion, runge_kutta_growth
-from mbd_ros.methods.integration.runge_kutta import (
-    RungeKutta,
-    Tableau,
-    check_tolerance,
-    matrix,
-    runge_kutta,
-)
-from mbd_ros.methods.integration.stepping import Integrator
+from mbd_ros.methods.integration.explicit_runge_kutta import ExplicitRungeKutta
+from mbd_ros.methods.integration.runge_kutta import Tableau, matrix
 
 # fmt: off
 _STEP = [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84, 0]
@@ -43,7 +35,7 @@ _TABLEAU = Tableau(
 )
 
 
-class Dopri5(Integrator):
+class Dopri5(ExplicitRungeKutta):
     """DOPRI5: order 5, six evaluations a step, dense output of order 4.
 
     Source: Dormand, Prince, J. Comp. Appl. Math. 6, 1980; dense output: Hairer, Nørsett, Wanner,
@@ -59,20 +51,4 @@ class Dopri5(Integrator):
     native = "runge_kutta"
     tableau: ClassVar[Tableau] = _TABLEAU
     stable = 1.3  # without damping; 2.4 with a twentieth of the critical one
-    dense: ClassVar[bool] = True
-    event_driven: ClassVar[bool] = True
     example = {"tolerance": 1e-6}
-
-    def __init__(self, *, tolerance: float | None = None) -> None:
-        check_tolerance(tolerance)
-        self.tolerance = tolerance
-        if tolerance is not None:
-            self.stable = math.inf
-
-    def growth(self, motion: LinearMotion, dt: float) -> float:
-        """Factor by which a step multiplies a linear motion at most."""
-        return runge_kutta_growth(_TABLEAU, motion, dt)
-
-    def prepare(self, system: Any, dt: float) -> RungeKutta:
-        """The stepper for one system and one step size [s], or with a tolerance first guess."""
-        return runge_kutta(system, _TABLEAU, dt, self.tolerance)

@@ -1,15 +1,13 @@
 """Filippov solutions of systems with forces that switch at surfaces."""
 
-import math
-from typing import Any, ClassVar
+from typing import ClassVar
 
 from mbd_ros.methods.integration.dop853_tableau import DOP853
-from mbd_ros.methods.integration.linear_motion import LinearMotion, runge_kutta_growth
-from mbd_ros.methods.integration.runge_kutta import check_tolerance, runge_kutta
-from mbd_ros.methods.integration.stepping import Integrator, Stepper
+from mbd_ros.methods.integration.explicit_runge_kutta import ExplicitRungeKutta
+from mbd_ros.methods.integration.runge_kutta import Tableau
 
 
-class Filippov(Integrator):
+class Filippov(ExplicitRungeKutta):
     """DOP853 from event to event, with sliding on the surfaces that attract.
 
     Steps end to rounding where a surface is reached or sliding ends. On a surface that attracts
@@ -31,22 +29,7 @@ class Filippov(Integrator):
     """
 
     order: ClassVar[int] = 8
-    dense: ClassVar[bool] = True
-    event_driven: ClassVar[bool] = True
+    tableau: ClassVar[Tableau] = DOP853
     finds_surfaces: ClassVar[bool] = True
     stable = 5.5
     example = {"tolerance": 1e-9}
-
-    def __init__(self, *, tolerance: float | None = None) -> None:
-        check_tolerance(tolerance)
-        self.tolerance = tolerance
-        if tolerance is not None:
-            self.stable = math.inf
-
-    def growth(self, motion: LinearMotion, dt: float) -> float:
-        """Factor by which a step multiplies a linear motion at most."""
-        return runge_kutta_growth(DOP853, motion, dt)
-
-    def prepare(self, system: Any, dt: float) -> Stepper:
-        """The stepper for one system and one step size [s], or with a tolerance first guess."""
-        return runge_kutta(system, DOP853, dt, self.tolerance)
