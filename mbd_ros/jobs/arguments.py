@@ -8,10 +8,6 @@ from pathlib import Path
 from mbd_ros.errors import MbdError, printable
 from mbd_ros.scene.schema.locate import scene_word
 
-# ---- arguments --------------------------------------------------------------------------------
-# Words that several commands understand.
-
-
 _ALLOW_CODE = "import the package.module:Class that a scene names; `check` lists them"
 
 
@@ -23,18 +19,14 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
     add_allow_code(parser)
 
 
-def names_scenes(argument: argparse.Action) -> bool:
-    """Whether the words of an argument are scenes, of which there are embedded ones."""
-    return argument.dest in ("scene", "scenes")
-
-
 def add_allow_code(parser: argparse.ArgumentParser) -> None:
     """The permission to import the code that scenes name; the program acts on it."""
     parser.add_argument("--allow-code", action="store_true", help=_ALLOW_CODE)
 
 
-# ---- error source -----------------------------------------------------------------------------
-# The file of an error, where the code that raised it knows no files.
+def names_scenes(argument: argparse.Action) -> bool:
+    """Whether the words of an argument are scenes, of which there are embedded ones."""
+    return argument.dest in ("scene", "scenes")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Lines and progress of a command, for people."""
+"""Progress of a long loop, and lines of a command, for people."""
 
 import sys
 import time
@@ -10,73 +10,30 @@ from typing import TypeVar
 
 from mbd_ros.errors import printable
 
-# ---- progress ---------------------------------------------------------------------------------
-# Progress of a long loop, for people.
-
-
 T = TypeVar("T")
 Watch = bool | Callable[[str, float], None]
 PERIOD = 0.2  # s
 _WATCH: ContextVar[Watch] = ContextVar("watch", default=True)
-
-
-@contextmanager
-def watching(watch: Watch) -> Iterator[None]:
-    """Choose the listener of `progress` within the block.
-
-    Args:
-        watch: True: a terminal. False: nobody. Else a function of a label and the share that is
-            done, called at most every `PERIOD` seconds.
-    """
-    before = _WATCH.set(watch)
-    try:
-        yield
-    finally:
-        _WATCH.reset(before)
+Say = Callable[[str], None]  # what is told such lines
 
 
 def progress(iterable: Iterable[T], total: int, label: str) -> Iterator[T]:
-    """Pass items on and keep one line with a percentage on stderr, if that is a terminal.
-
-    Args:
-        iterable: The items.
-        total: How many there will be.
-        label: Name of the work.
-
-    Returns:
-        The items, unchanged.
-    """
+    """Pass items on and keep one line with a percentage on stderr, if that is a terminal."""
     most = max(total, 1)
     return progress_of(((done / most, item) for done, item in enumerate(iterable)), label)
 
 
 def progress_of(pairs: Iterable[tuple[float, T]], label: str) -> Iterator[T]:
     """As `progress`, of items that come with the share that is done before them."""
-    watch = _watch()
-    if watch is False:
-        yield from (item for _, item in pairs)
-        return
-    tell = _write if watch is True else watch
-    due = 0.0
-    try:
+    with share_watch(label) as tell:
         for share, item in pairs:
-            if time.monotonic() >= due:
-                due = time.monotonic() + PERIOD
-                tell(label, min(share, 1.0))
+            tell(share)
             yield item
-    finally:
-        if watch is True:
-            sys.stderr.write("\r\x1b[K")  # erase the line
-            sys.stderr.flush()
 
 
 @contextmanager
 def share_watch(label: str) -> Iterator[Callable[[float], None]]:
-    """A function that is told the share that is done, for work that is no loop over items.
-
-    Args:
-        label: Name of the work.
-    """
+    """A function that is told the share that is done, for work that is no loop over items."""
     watch, due = _watch(), 0.0
     tell = _write if watch is True else watch
 
@@ -94,13 +51,6 @@ def share_watch(label: str) -> Iterator[Callable[[float], None]]:
             sys.stderr.flush()
 
 
-def announce(line: str) -> None:
-    """Say on a terminal what takes time from now on, unless somebody else listens."""
-    if _watch() is True:
-        sys.stderr.write(f"{line}\n")
-        sys.stderr.flush()
-
-
 def _watch() -> Watch:
     """Who listens; workers leave the terminal to the process that started them."""
     watch = _WATCH.get()
@@ -114,11 +64,26 @@ def _write(label: str, share: float) -> None:
     sys.stderr.flush()
 
 
-# ---- lines ------------------------------------------------------------------------------------
-# Lines of a command for people.
+@contextmanager
+def watching(watch: Watch) -> Iterator[None]:
+    """Choose the listener of `progress` within the block.
+
+    Args:
+        watch: True: a terminal. False: nobody. Else a function of a label and the share that is
+            done, called at most every `PERIOD` seconds.
+    """
+    before = _WATCH.set(watch)
+    try:
+        yield
+    finally:
+        _WATCH.reset(before)
 
 
-Say = Callable[[str], None]  # what is told such lines
+def announce(line: str) -> None:
+    """Say on a terminal what takes time from now on, unless somebody else listens."""
+    if _watch() is True:
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
 
 
 def say(line: str) -> None:

@@ -7,12 +7,6 @@ from mbd_ros.files.table import MAIN, Result
 from mbd_ros.jobs.progress import Say
 
 
-def beside(out: Path, table: str) -> Path:
-    """Where a table goes whose format holds one a file: o.csv.gz -> o.gaits.csv.gz."""
-    suffix = suffix_of(out)
-    return out.with_name(f"{out.name.removesuffix(suffix)}.{table}{suffix}")
-
-
 def write_tables(result: Result, out: Path, say: Say) -> None:
     """Write all tables, `samples` to the given place.
 
@@ -28,3 +22,9 @@ def write_tables(result: Result, out: Path, say: Say) -> None:
         place = out if name == MAIN else beside(out, name)
         Result({MAIN: table}, result.metadata).to(place)
         say(f"{name}, {table.rows} rows -> {place}")
+
+
+def beside(out: Path, table: str) -> Path:
+    """Where a table goes whose format holds one a file: o.csv.gz -> o.gaits.csv.gz."""
+    suffix = suffix_of(out)
+    return out.with_name(f"{out.name.removesuffix(suffix)}.{table}{suffix}")

@@ -3,6 +3,8 @@
 A handle is a number that `Robot` gives; every `Kinematics` binds its calls to it once.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -11,49 +13,6 @@ import pinocchio as pin
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-
-
-class Point(NamedTuple):
-    """A point of a link, with axes that turn with the link.
-
-    Attributes:
-        number: Of the point, the same for points that coincide for ever.
-        frame: Name of the link.
-        moves: Whether any joint moves it.
-    """
-
-    number: int
-    frame: str
-    moves: bool
-
-
-class Pair(NamedTuple):
-    """Two points that joints move against each other: b as an observer on a sees it.
-
-    Attributes:
-        number: Of the pair.
-        a: The observer.
-        b: What is observed.
-        columns: 1 for the velocity coordinates that move b alone, -1 for those that move a alone,
-            else 0, shape (nv,).
-    """
-
-    number: int
-    a: Point
-    b: Point
-    columns: Array
-
-
-class Place(NamedTuple):
-    """Where a point stands in the model.
-
-    Attributes:
-        joint: Index of the joint that carries it, 0 at rest.
-        at: `pinocchio.SE3` of its axes in the frame of that joint.
-    """
-
-    joint: int
-    at: Any
 
 
 class Places:
@@ -108,6 +67,49 @@ class Places:
             if j:
                 columns[joint.idx_v : joint.idx_v + joint.nv] = 1.0
         return columns
+
+
+class Place(NamedTuple):
+    """Where a point stands in the model.
+
+    Attributes:
+        joint: Index of the joint that carries it, 0 at rest.
+        at: `pinocchio.SE3` of its axes in the frame of that joint.
+    """
+
+    joint: int
+    at: Any
+
+
+class Point(NamedTuple):
+    """A point of a link, with axes that turn with the link.
+
+    Attributes:
+        number: Of the point, the same for points that coincide for ever.
+        frame: Name of the link.
+        moves: Whether any joint moves it.
+    """
+
+    number: int
+    frame: str
+    moves: bool
+
+
+class Pair(NamedTuple):
+    """Two points that joints move against each other: b as an observer on a sees it.
+
+    Attributes:
+        number: Of the pair.
+        a: The observer.
+        b: What is observed.
+        columns: 1 for the velocity coordinates that move b alone, -1 for those that move a alone,
+            else 0, shape (nv,).
+    """
+
+    number: int
+    a: Point
+    b: Point
+    columns: Array
 
 
 def rotation_matrix(rpy: Sequence[float]) -> Array:

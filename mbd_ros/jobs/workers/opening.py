@@ -1,4 +1,6 @@
-"""Workers: processes of this machine, or of a Dask cluster."""
+"""Workers: processes of this machine, or of a Dask cluster; and the time that they still need."""
+
+from __future__ import annotations
 
 import argparse
 import sys
@@ -9,8 +11,26 @@ from typing import Protocol
 from mbd_ros.compiled.build.compiler import cores
 from mbd_ros.jobs.workers.task import Result, Task
 
-# ---- opening ----------------------------------------------------------------------------------
-# Workers: processes of this machine, or of a Dask cluster.
+_PRIOR = 5.0  # s; weight of the expectation against what was measured
+
+
+def open_workers(scheduler: str | None, count: int | None) -> AbstractContextManager[Workers]:
+    """Workers for the length of a `with` block.
+
+    Args:
+        scheduler: Address of a Dask scheduler, `local:N`, or None for processes of this machine.
+        count: How many processes; None for one a core.
+
+    Raises:
+        DataError: Dask is missing, or nobody answers at that address.
+    """
+    if scheduler is not None:
+        from mbd_ros.jobs.workers.cluster import Cluster
+
+        return Cluster(scheduler)
+    from mbd_ros.jobs.workers.processes import Processes
+
+    return Processes(count or cores())
 
 
 class Workers(Protocol):
@@ -37,29 +57,6 @@ def do_all(workers: Workers, tasks: Sequence[Task]) -> Iterator[tuple[Task, Resu
     yield from workers.run(sorted(others, key=lambda task: -task.seconds), alone=False)
 
 
-def open_workers(scheduler: str | None, count: int | None) -> AbstractContextManager[Workers]:
-    """Workers for the length of a `with` block.
-
-    Args:
-        scheduler: Address of a Dask scheduler, `local:N`, or None for processes of this machine.
-        count: How many processes; None for one a core.
-
-    Raises:
-        DataError: Dask is missing, or nobody answers at that address.
-    """
-    if scheduler is not None:
-        from mbd_ros.jobs.workers.cluster import Cluster
-
-        return Cluster(scheduler)
-    from mbd_ros.jobs.workers.processes import Processes
-
-    return Processes(count or cores())
-
-
-# ---- arguments --------------------------------------------------------------------------------
-# Words that say where work is done.
-
-
 def add_workers(parser: argparse.ArgumentParser) -> None:
     """Where the work is done."""
     where = parser.add_mutually_exclusive_group()
@@ -75,11 +72,37 @@ def _count(text: str) -> int:
     return int(text)
 
 
-# ---- remaining --------------------------------------------------------------------------------
-# The time left for many tasks, for people who watch.
+def watched(
+    done: Iterator[tuple[Task, Result]], tasks: Sequence[Task], workers: int
+) -> Iterator[tuple[Task, Result]]:
+    """Pass results on and keep one line with the time left on stderr, if that is a terminal.
+
+    Args:
+        done: Tasks with results, as they end.
+        tasks: All that will end.
+        workers: How many tasks are done at the same time.
+
+    Yields:
+        What `done` yields.
+    """
+    remaining = Remaining(tasks, workers)
+    _show(f"0 of {len(tasks)}")
+    try:
+        for count, (task, result) in enumerate(done, start=1):
+            remaining.count(task, result)
+            _show("")  # the taker may print
+            yield task, result
+            left = f"about {spoken(remaining.seconds)} left"
+            percent = 100 * count // len(tasks)
+            _show(f"{percent} %, {count} of {len(tasks)}, {left}, last {task.name}")
+    finally:
+        _show("")
 
 
-_PRIOR = 5.0  # s; weight of the expectation against what was measured
+def _show(line: str) -> None:
+    if sys.stderr.isatty():
+        sys.stderr.write(f"\r\x1b[K{line[:100]}")
+        sys.stderr.flush()
 
 
 class Remaining:
@@ -111,33 +134,6 @@ class Remaining:
             self._took += result.seconds
 
 
-def watched(
-    done: Iterator[tuple[Task, Result]], tasks: Sequence[Task], workers: int
-) -> Iterator[tuple[Task, Result]]:
-    """Pass results on and keep one line with the time left on stderr, if that is a terminal.
-
-    Args:
-        done: Tasks with results, as they end.
-        tasks: All that will end.
-        workers: How many tasks are done at the same time.
-
-    Yields:
-        What `done` yields.
-    """
-    remaining = Remaining(tasks, workers)
-    _show(f"0 of {len(tasks)}")
-    try:
-        for count, (task, result) in enumerate(done, start=1):
-            remaining.count(task, result)
-            _show("")  # the taker may print
-            yield task, result
-            left = f"about {spoken(remaining.seconds)} left"
-            percent = 100 * count // len(tasks)
-            _show(f"{percent} %, {count} of {len(tasks)}, {left}, last {task.name}")
-    finally:
-        _show("")
-
-
 def spoken(seconds: float) -> str:
     """A time as one says it."""
     if seconds < 90:
@@ -145,9 +141,3 @@ def spoken(seconds: float) -> str:
     if seconds < 5400:
         return f"{seconds / 60:.0f} min"
     return f"{seconds / 3600:.1f} h"
-
-
-def _show(line: str) -> None:
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r\x1b[K{line[:100]}")
-        sys.stderr.flush()

@@ -1,5 +1,7 @@
 """Tasks in processes of this machine; a process that dies costs its task, never the others."""
 
+from __future__ import annotations
+
 import math
 import multiprocessing as mp
 import os
@@ -19,39 +21,6 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _CONTEXT = mp.get_context("spawn")  # a fork would inherit threads and their locks
 
 
-class _Job(NamedTuple):
-    task: Task
-    attempt: int
-    due: float  # time.monotonic
-
-
-class _Worker:
-    """A process that does one task after the other."""
-
-    def __init__(self) -> None:
-        self.connection, theirs = _CONTEXT.Pipe()
-        self.process = _CONTEXT.Process(target=_serve, args=(theirs,), daemon=True)
-        self.process.start()
-        theirs.close()
-        self.job: _Job | None = None
-
-    def start(self, job: _Job) -> None:
-        self.job = job
-        with suppress(OSError):  # a worker that died meanwhile is seen when its answer is awaited
-            self.connection.send(job.task)
-
-    def end(self) -> str:
-        """Kill the process; how it had ended before."""
-        self.process.join(0.0 if self.job is None else 1.0)
-        code = self.process.exitcode
-        self.process.kill()
-        self.process.join()
-        self.connection.close()
-        if code is not None and code < 0:
-            return f"by {signal.Signals(-code).name}"
-        return f"with exit code {code}"
-
-
 class Processes:
     """Does tasks in processes of this machine, for the length of a `with` block.
 
@@ -65,7 +34,7 @@ class Processes:
         self.count = count
         self._workers: list[_Worker] = []
 
-    def __enter__(self) -> "Processes":
+    def __enter__(self) -> Processes:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -134,6 +103,33 @@ class Processes:
         return Result(failure=f"no result within {job.task.limit:g} s")
 
 
+class _Worker:
+    """A process that does one task after the other."""
+
+    def __init__(self) -> None:
+        self.connection, theirs = _CONTEXT.Pipe()
+        self.process = _CONTEXT.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process.start()
+        theirs.close()
+        self.job: _Job | None = None
+
+    def start(self, job: _Job) -> None:
+        self.job = job
+        with suppress(OSError):  # a worker that died meanwhile is seen when its answer is awaited
+            self.connection.send(job.task)
+
+    def end(self) -> str:
+        """Kill the process; how it had ended before."""
+        self.process.join(0.0 if self.job is None else 1.0)
+        code = self.process.exitcode
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
+        if code is not None and code < 0:
+            return f"by {signal.Signals(-code).name}"
+        return f"with exit code {code}"
+
+
 def _serve(connection: Connection) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the one who started this
     os.environ.update(dict.fromkeys(_THREADS, "1"))
@@ -148,3 +144,9 @@ def _end_with_parent() -> None:
     assert parent is not None
     wait([parent.sentinel])
     os._exit(1)
+
+
+class _Job(NamedTuple):
+    task: Task
+    attempt: int
+    due: float  # time.monotonic
