@@ -21,7 +21,7 @@ from mbd_ros.methods.particles.molecules import (
 )
 from mbd_ros.methods.particles.rigid_bonds import DistanceRow, PointRow, SurfaceRow
 from mbd_ros.methods.particles.units import ANGSTROM, NANOMETRE
-from mbd_ros.scene.reading.building import checked_name
+from mbd_ros.scene.reading.part_names import checked_name
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.nearest import nearest
 from mbd_ros.scene.schema.strict_yaml import read_text

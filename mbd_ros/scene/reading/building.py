@@ -1,16 +1,15 @@
-"""Entries of a file -> built sections, and names of parts."""
+"""Entries of a file -> built sections, by the table of sections."""
 
 import importlib
-import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from mbd_ros.core.contracts import type_name
-from mbd_ros.core.model.robot import BASE, Robot
-from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.core.model.robot import Robot
+from mbd_ros.errors import SceneError
 from mbd_ros.scene.origin import Origin
+from mbd_ros.scene.reading.part_names import refuse_repeated
 from mbd_ros.scene.schema.code_permission import code_of_others, require_permission
 from mbd_ros.scene.schema.sections import SECTIONS, Section, keys, ordered, parts_in
 
@@ -18,154 +17,68 @@ if TYPE_CHECKING:
     from mbd_ros.scene.built_scene import Scene
 
 
-# ---- part names -------------------------------------------------------------------------------
-# Names of parts: given by `name`, or else made of joint or frame and type; unique in a scene.
-
-
-_NAME, _OTHER = re.compile(r"[\w/-]{1,255}"), re.compile(r"[^\w/-]")
-_PLACES = (
-    "joint",
-    "joints",
-    "frame",
-    "frame_b",
-    "frame_a",
-    "path",
-)  # keys that say where a part is
-
-
-class NamedEntry(NamedTuple):
-    """An entry of a part.
+class Kept(NamedTuple):
+    """What is built already.
 
     Attributes:
-        where: File and key, for the messages.
-        given: What the file holds, without the name.
-        name: As given; None leaves it to `name_parts`.
+        sections: Whole sections by key.
+        parts: Parts of others: by key of the section, then as in `Site.kept`.
     """
 
-    where: str
-    given: Any
-    name: str | None
+    sections: Mapping[str, Any] = MappingProxyType({})
+    parts: Mapping[str, Mapping[Any, Any]] = MappingProxyType({})
 
 
-def named_entry(given: Any, where: str) -> NamedEntry:
-    """An entry whose name is told from what its part is built of.
+class Built(NamedTuple):
+    """Built sections.
+
+    Attributes:
+        parts: By key.
+        robot: The robot with the inertia of all drives; None without a section `robot`.
+    """
+
+    parts: dict[str, Any]
+    robot: Robot | None
+
+
+def build(
+    origin: Origin,
+    entries: Mapping[str, Any],
+    table: Sequence[Section],
+    kept: Kept = Kept(),  # noqa: B008, a constant
+    scene: "Scene | None" = None,
+) -> Built:
+    """Build the sections from their entries, in the order that `after` demands.
 
     Args:
-        given: What the file holds.
-        where: File and key, for the messages.
+        origin: Where the entries come from.
+        entries: By key.
+        table: The sections.
+        kept: What is built already.
+        scene: The scene that a task is asked of; None for the sections of a scene.
 
     Raises:
-        SceneError: A name that is not accepted.
+        SceneError: Names file, key, what is wrong and what is accepted.
     """
-    if not isinstance(given, Mapping) or "name" not in given:
-        return NamedEntry(where, given, None)
-    rest = {key: value for key, value in given.items() if key != "name"}
-    return NamedEntry(where, rest, checked_name(given["name"], f"{where}.name"))
-
-
-def checked_name(name: Any, where: str) -> str:
-    """A name that columns, topics and messages can carry.
-
-    Raises:
-        SceneError: It is none.
-    """
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise SceneError(
-            f"{where}: expected a name of up to 255 letters, digits, _, - and /, without a dot, "
-            f"got {name!r}"
-        )
-    return name
-
-
-def name_parts(site: "Site", entries: Sequence[NamedEntry], parts: Sequence[Any]) -> None:
-    """Give the parts of a section their names, by entries in the same order.
-
-    A part without a name goes by its joint or frame and its type; where that repeats, it has a
-    number: ankle_joint_spring, ankle_joint_spring_2.
-
-    Args:
-        site: Where the section is built.
-        entries: One a part.
-        parts: The parts.
-    """
-    robot = site.robot
-    taken = {entry.name for entry in entries} | {name for _, name in _names(site.parts)}
-    taken |= _joints(robot)
-    for entry, part in zip(entries, parts, strict=True):
-        name = entry.name
-        if name is None:
-            words = (_place(entry.given, robot), type_name(type(part)))
-            default = getattr(part, "default_name", "_".join(filter(None, words)))
-            plain = _OTHER.sub("_", default)
-            name, number = plain, 2
-            while name in taken:
-                name, number = f"{plain}_{number}", number + 1
-            taken.add(name)
-        part.name = name
-
-
-def refuse_repeated(where: str, parts: Mapping[str, Any], robot: Robot | None) -> None:
-    """Refuse a name that two parts have, or a part and a joint or a free base.
-
-    A muscle may have the name of a path, which shows nothing of its own.
-
-    Args:
-        where: The file, for the messages.
-        parts: Built sections by key.
-        robot: The robot; None where there is none.
-
-    Raises:
-        SceneError: Names it, and who has it.
-    """
-    owners = dict.fromkeys(_joints(robot), "a joint of the robot")
-    if robot is not None and any(base.name == BASE for base in robot.bases):
-        owners[BASE] = "the floating base"
-    muscles = {part.name for part in parts.get("muscles", ())}
-    for key, name in _names(parts):
-        if key == "paths" and name in muscles:
+    parts: dict[str, Any] = {}
+    robot: Robot | None = None
+    for section in ordered(table):
+        given = entries.get(section.key, section.absent)
+        if section.key in kept.sections:
+            parts[section.key] = kept.sections[section.key]
+        elif given is not None:
+            others = kept.parts.get(section.key, {})
+            site = Site(section, origin, robot, parts, others, scene)
+            parts[section.key] = _builder(section)(site, given)
+        else:
             continue
-        if name in owners:
-            raise SceneError(f"{where}: {key}: name '{name}' is that of {owners[name]}, too")
-        owners[name] = f"a part of {key}"
-
-
-def _names(parts: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Section and name of every part that has one."""
-    for key, built in parts.items():
-        if key != "robot":
-            several = built.values() if isinstance(built, Mapping) else built
-            for part in several if isinstance(built, Mapping | tuple | list) else (built,):
-                if isinstance(name := getattr(part, "name", None), str):
-                    yield key, name
-
-
-def _joints(robot: Robot | None) -> set[str]:
-    return set() if robot is None else {joint.name for joint in robot.joints}
-
-
-def _place(entry: Any, robot: Robot | None) -> str:
-    """Joint, frame or path of an entry that moves; empty where there is none, or several."""
-    for key in _PLACES:
-        place = entry.get(key)
-        if isinstance(place, list):
-            place = place[0] if len(place) == 1 and place != ["all"] else None
-        if isinstance(place, str) and not _is_at_rest(key, place, robot):
-            return place
-    return ""
-
-
-def _is_at_rest(key: str, place: str, robot: Robot | None) -> bool:
-    """Whether a place is a frame of the world; a part of others may mean anything by its keys."""
-    if not key.startswith("frame") or robot is None:
-        return False
-    try:
-        return int(robot.model.frames[robot.frame(place)].parentJoint) == 0
-    except ModelError:
-        return False
-
-
-# ---- building ---------------------------------------------------------------------------------
-# Entries of a file -> built sections, by the table of sections.
+        if section.key == "robot":
+            robot = parts["robot"]
+        elif robot is not None:
+            robot = _with_armature(robot, parts_in(section, parts[section.key]))
+    if scene is None:  # parts of a task have no names
+        refuse_repeated(origin.name, parts, robot)
+    return Built(parts, robot)
 
 
 class Site(NamedTuple):
@@ -194,6 +107,22 @@ class Site(NamedTuple):
         return f"{self.origin.name}: {self.section.key}"
 
 
+def _builder(section: Section) -> Any:
+    module, _, name = section.build.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _with_armature(robot: Robot, parts: Sequence[Any]) -> Robot:
+    """The robot with the inertia that drives among the parts add to its joints."""
+    drives = [part for part in parts if hasattr(part, "armature")]
+    added = sum(drive.armature() for drive in drives)
+    if not drives or not added.any():
+        return robot
+    model = robot.model.copy()
+    model.armature = model.armature + added
+    return replace(robot, model=model)
+
+
 class Table(NamedTuple):
     """The sections that some entries have.
 
@@ -204,30 +133,6 @@ class Table(NamedTuple):
 
     sections: tuple[Section, ...]
     code: Mapping[str, str]
-
-
-class Kept(NamedTuple):
-    """What is built already.
-
-    Attributes:
-        sections: Whole sections by key.
-        parts: Parts of others: by key of the section, then as in `Site.kept`.
-    """
-
-    sections: Mapping[str, Any] = MappingProxyType({})
-    parts: Mapping[str, Mapping[Any, Any]] = MappingProxyType({})
-
-
-class Built(NamedTuple):
-    """Built sections.
-
-    Attributes:
-        parts: By key.
-        robot: The robot with the inertia of all drives; None without a section `robot`.
-    """
-
-    parts: dict[str, Any]
-    robot: Robot | None
 
 
 def foreign_keys(origin: Origin, entries: Mapping[str, Any]) -> dict[str, str]:
@@ -274,51 +179,6 @@ def present(entries: Mapping[str, Any]) -> dict[str, Any]:
     return {key: entry for key, entry in entries.items() if entry is not None}
 
 
-def build(
-    origin: Origin,
-    entries: Mapping[str, Any],
-    table: Sequence[Section],
-    kept: Kept = Kept(),  # noqa: B008, a constant
-    scene: "Scene | None" = None,
-) -> Built:
-    """Build the sections from their entries, in the order that `after` demands.
-
-    Args:
-        origin: Where the entries come from.
-        entries: By key.
-        table: The sections.
-        kept: What is built already.
-        scene: The scene that a task is asked of; None for the sections of a scene.
-
-    Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
-    """
-    parts: dict[str, Any] = {}
-    robot: Robot | None = None
-    for section in ordered(table):
-        given = entries.get(section.key, section.absent)
-        if section.key in kept.sections:
-            parts[section.key] = kept.sections[section.key]
-        elif given is not None:
-            others = kept.parts.get(section.key, {})
-            site = Site(section, origin, robot, parts, others, scene)
-            parts[section.key] = _builder(section)(site, given)
-        else:
-            continue
-        if section.key == "robot":
-            robot = parts["robot"]
-        elif robot is not None:
-            robot = _with_armature(robot, parts_in(section, parts[section.key]))
-    if scene is None:  # parts of a task have no names
-        refuse_repeated(origin.name, parts, robot)
-    return Built(parts, robot)
-
-
-def _builder(section: Section) -> Any:
-    module, _, name = section.build.partition(":")
-    return getattr(importlib.import_module(module), name)
-
-
 def _declared(unknown: Sequence[str]) -> dict[str, str]:
     if not unknown:
         return {}
@@ -333,14 +193,3 @@ def _imported(origin: Origin, foreign: Mapping[str, str]) -> list[Section]:
     from mbd_ros.scene.schema.foreign_sections import import_section
 
     return [import_section(key, target, origin.name) for key, target in foreign.items()]
-
-
-def _with_armature(robot: Robot, parts: Sequence[Any]) -> Robot:
-    """The robot with the inertia that drives among the parts add to its joints."""
-    drives = [part for part in parts if hasattr(part, "armature")]
-    added = sum(drive.armature() for drive in drives)
-    if not drives or not added.any():
-        return robot
-    model = robot.model.copy()
-    model.armature = model.armature + added
-    return replace(robot, model=model)

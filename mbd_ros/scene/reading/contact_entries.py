@@ -1,10 +1,7 @@
-"""Section `contacts`: pairs of shapes -> contacts."""
+"""Section `contacts`: pairs of sides, each with shapes on a link -> contacts."""
 
-import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from pathlib import Path
-from typing import Annotated, Any, NamedTuple
-from xml.etree import ElementTree
+from collections.abc import Callable, Mapping, Sequence
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -21,22 +18,15 @@ from mbd_ros.core.geometry.shapes import (
     Sphere,
 )
 from mbd_ros.core.model.points import Point
-from mbd_ros.core.model.robot import WORLD, Recipe, Robot
-from mbd_ros.core.model.robot_reader import root_link
-from mbd_ros.core.model.urdf import parse_urdf
+from mbd_ros.core.model.robot import WORLD, Robot
 from mbd_ros.core.ranges import LARGEST, Length, Positive, Unit, Vector, Within
 from mbd_ros.core.rows.frame_rows import check_normal, plane_of
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.reading.building import Site
+from mbd_ros.scene.reading.link_geometry import collisions_of
 from mbd_ros.scene.reading.part_entries import MAX_ROWS, build_section
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
-
-# ---- contact entries --------------------------------------------------------------------------
-# Section `contacts`: pairs of shapes -> contacts.
-
-
-# One side of a contact as a scene writes it -> shapes on a link.
 
 GROUND = "ground"  # the half space below the origin of the world, unless something is called so
 MAX_POINTS = 200  # of one entry: as many as a scene may have rows of contacts
@@ -44,6 +34,44 @@ _Metres = Annotated[Positive, Unit("m")]
 _NotNegative = Annotated[float, Within(0.0, LARGEST), Unit("m")]
 _Sides = Annotated[Sequence[Positive], Length(3), Unit("m")]
 _Points = Annotated[Sequence[Vector], Unit("m")]
+
+
+def build_contacts(site: Site, entries: Any) -> Any:
+    """The `contacts` section.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    listed = schema.value(entries, Sequence[Any], site.where)
+    given = [
+        entry if i in site.kept else with_shapes(site, entry, f"{site.where}[{i}]")
+        for i, entry in enumerate(listed)
+    ]
+    parts = build_section(site, given)
+    rows = sum(len(getattr(part, "rows", ())) for part in parts)
+    if rows > MAX_ROWS:
+        raise SceneError(f"{site.where}: {rows} rows, accepted are {MAX_ROWS}")
+    return parts
+
+
+def with_shapes(site: Site, given: Any, where: str) -> Any:
+    """An entry whose `between` is read; what else is wrong with it is told where it is built.
+
+    Args:
+        site: Where the section is built.
+        given: The entry.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    if not isinstance(given, Mapping) or "between" not in given:
+        return given
+    sides = schema.value(given["between"], Sequence[Any], f"{where}.between")
+    if len(sides) != len(Between._fields):
+        raise SceneError(f"{where}.between: expected two sides, [a, b], got {len(sides)}")
+    a, b = (read_side(site, side, f"{where}.between[{i}]") for i, side in enumerate(sides))
+    return {**given, "between": Between(a, b)}
 
 
 def read_side(site: Site, given: Any, where: str) -> Side:
@@ -85,7 +113,7 @@ def _named(site: Site, name: str, where: str) -> Side:
         raise SceneError(f"{where}: {error}; or {GROUND}, where nothing is called so") from error
 
     shapes = []
-    for i, found in enumerate(collisions_of(site, name, where)):
+    for i, found in enumerate(collisions_of(robot, name, where)):
         at = robot.point(name, found.xyz, found.rpy)
         told = f"{where}: {name}: <collision> {i}"
         shapes.append(_shape(site, found.kind, found.size, at, told))
@@ -107,6 +135,11 @@ def _shape(site: Site, kind: str, size: Any, at: Point, where: str) -> Shape:
     return shape
 
 
+def _at_rest(robot: Robot) -> str:
+    """What the world is called; a link of that name may fly."""
+    return "universe" if robot.model.existFrame(WORLD) else WORLD
+
+
 def _placed(
     robot: Robot,
     *,
@@ -116,11 +149,6 @@ def _placed(
 ) -> tuple[str, Point]:
     frame = _at_rest(robot) if frame is None else frame
     return frame, robot.point(frame, xyz, rpy)
-
-
-def _at_rest(robot: Robot) -> str:
-    """What the world is called; a link of that name may fly."""
-    return "universe" if robot.model.existFrame(WORLD) else WORLD
 
 
 def _sphere(site: Site, at: Point, size: _NotNegative) -> Shape:
@@ -168,161 +196,3 @@ _SHAPES: Mapping[str, Callable[..., Shape]] = {
     "mesh": _mesh,
 }
 _BY_KEYS = ("capsule", "cylinder")
-
-
-def build_contacts(site: Site, entries: Any) -> Any:
-    """The `contacts` section.
-
-    Raises:
-        SceneError: Names key, what is wrong and what is accepted.
-    """
-    listed = schema.value(entries, Sequence[Any], site.where)
-    given = [
-        entry if i in site.kept else with_shapes(site, entry, f"{site.where}[{i}]")
-        for i, entry in enumerate(listed)
-    ]
-    parts = build_section(site, given)
-    rows = sum(len(getattr(part, "rows", ())) for part in parts)
-    if rows > MAX_ROWS:
-        raise SceneError(f"{site.where}: {rows} rows, accepted are {MAX_ROWS}")
-    return parts
-
-
-def with_shapes(site: Site, given: Any, where: str) -> Any:
-    """An entry whose `between` is read; what else is wrong with it is told where it is built.
-
-    Args:
-        site: Where the section is built.
-        given: The entry.
-        where: File and key, for the messages.
-
-    Raises:
-        SceneError: Names key, what is wrong and what is accepted.
-    """
-    if not isinstance(given, Mapping) or "between" not in given:
-        return given
-    sides = schema.value(given["between"], Sequence[Any], f"{where}.between")
-    if len(sides) != len(Between._fields):
-        raise SceneError(f"{where}.between: expected two sides, [a, b], got {len(sides)}")
-    a, b = (read_side(site, side, f"{where}.between[{i}]") for i, side in enumerate(sides))
-    return {**given, "between": Between(a, b)}
-
-
-# ---- collision shapes -------------------------------------------------------------------------
-# The `<collision>` elements of a link -> shapes as a scene writes them.
-
-
-_KINDS = "box, sphere, cylinder, capsule, mesh"
-
-
-class Collision(NamedTuple):
-    """One geometry of a link.
-
-    Attributes:
-        kind: As scenes call it.
-        size: Its sizes, as scenes write them.
-        xyz: Its place on the link [m].
-        rpy: Its axes there [rad].
-    """
-
-    kind: str
-    size: Any
-    xyz: list[float]
-    rpy: list[float]
-
-
-def collisions_of(site: Site, name: str, where: str) -> list[Collision]:
-    """All collision geometries of a link.
-
-    Args:
-        site: Where the section is built.
-        name: Of the link, as the scene calls it.
-        where: File and key, for the messages.
-
-    Raises:
-        SceneError: The link has none, or one that is not understood; names it.
-    """
-    robot: Any = site.robot
-    having = list[str]()
-    for recipe in robot.recipes:
-        tree = parse_urdf(recipe.text, recipe.source)
-        for link in tree.findall("link"):
-            known = names_of_link(recipe, tree, link.get("name", ""))
-            elements = link.findall("collision")
-            if name in known and elements:
-                texts = enumerate(elements)
-                return [
-                    geometry_of(recipe, one, f"{where}: {name}: <collision> {i}")
-                    for i, one in texts
-                ]
-            having += known[:1] if elements else []
-        if recipe.shape is not None:
-            having.append(recipe.name)
-    found = ", ".join(having) or "none has one"
-    raise SceneError(
-        f"{where}: link '{name}' has no <collision>; with one or a shape: {found}; or give the "
-        f"shape here, such as {{frame: {name}, sphere: 0.1}}"
-    )
-
-
-def names_of_link(recipe: Recipe, tree: ElementTree.Element, link: str) -> list[str]:
-    """What a link is called in the scene; the root goes by the name of its member, too."""
-    is_root = bool(recipe.name) and link == root_link(tree)
-    return [recipe.name, recipe.scoped(link)] if is_root else [recipe.scoped(link)]
-
-
-def geometry_of(recipe: Recipe, element: ElementTree.Element, where: str) -> Collision:
-    """The geometry of a `<collision>` or `<visual>` element.
-
-    Args:
-        recipe: What the element is from.
-        element: The element.
-        where: File and key, for the messages.
-
-    Raises:
-        SceneError: It is not understood, or names a package that is not installed.
-    """
-    origin, geometry = element.find("origin"), element.find("geometry")
-    xyz = _numbers(origin, "xyz", "0 0 0", 3, where)
-    rpy = _numbers(origin, "rpy", "0 0 0", 3, where)
-    shape = next(iter(geometry), None) if geometry is not None else None
-    if shape is None:
-        raise SceneError(f"{where}: has no geometry, accepted: {_KINDS}")
-    if shape.tag == "box":
-        return Collision("box", _numbers(shape, "size", "", 3, where), xyz, rpy)
-    if shape.tag == "sphere":
-        return Collision("sphere", _numbers(shape, "radius", "", 1, where)[0], xyz, rpy)
-    if shape.tag in ("cylinder", "capsule"):
-        sizes = {key: _numbers(shape, key, "", 1, where)[0] for key in ("radius", "length")}
-        return Collision(shape.tag, sizes, xyz, rpy)
-    if shape.tag != "mesh" or not shape.get("filename"):
-        raise SceneError(f"{where}: geometry <{shape.tag}>, accepted: {_KINDS} with its filename")
-    file = find_file(Path(recipe.source).parent, _path(shape.get("filename", "")), where)
-    scale = _numbers(shape, "scale", "1 1 1", 3, where)
-    return Collision("mesh", {"file": str(file), "scale": scale}, xyz, rpy)
-
-
-def _path(name: str) -> str:
-    return name.removeprefix("file://")
-
-
-def _numbers(
-    element: ElementTree.Element | None, key: str, default: str, count: int, where: str
-) -> list[float]:
-    text = default if element is None else element.get(key, default)
-    values = list(_finite(text))
-    if len(values) != count:
-        expected = "a finite number" if count == 1 else f"{count} finite numbers"
-        raise SceneError(f"{where}: {key}='{text}', expected {expected}")
-    return values
-
-
-def _finite(text: str) -> Iterator[float]:
-    for word in text.split():
-        try:
-            value = float(word)
-        except ValueError:
-            return
-        if not math.isfinite(value) or abs(value) > LARGEST:
-            return
-        yield value

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import MeasuredWrench
-from mbd_ros.scene.reading.building import NamedEntry, Site, checked_name, name_parts, named_entry
+from mbd_ros.scene.reading.building import Site
+from mbd_ros.scene.reading.part_names import NamedEntry, checked_name, name_parts, named_entry
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import METHODS, PARTS, resolve_type, types_of
 from mbd_ros.scene.schema.sections import Form, Section
@@ -132,7 +133,7 @@ def _named_parts(
         else part_of(site.section, entry.given, entry.where, site)
         for place, entry in zip(places, entries, strict=True)
     )
-    name_parts(site, entries, parts)
+    name_parts(site.robot, site.parts, entries, parts)
     return parts
 
 

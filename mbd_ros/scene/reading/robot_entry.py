@@ -3,12 +3,11 @@
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.model.points import rotation_matrix
 from mbd_ros.core.model.robot import Recipe, Robot
 from mbd_ros.core.model.robot_reader import EARTH_GRAVITY, read_robots
 from mbd_ros.core.model.urdf import MAX_CHARACTERS
@@ -16,15 +15,50 @@ from mbd_ros.core.ranges import Length, Positive, Unit, Vector
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.reading.building import Site
+from mbd_ros.scene.reading.pose_entry import read_pose
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 from mbd_ros.scene.schema.strict_yaml import read_text
 
-# ---- robot entry ------------------------------------------------------------------------------
-# Sections `robot`, `robots`, `bodies` and `gravity` of a scene -> one robot.
-
-
 _NAME = re.compile("[A-Za-z_][A-Za-z0-9_]{0,99}")  # topics are named after robots and bodies
+Metres = Annotated[Positive, Unit("m")]
+_Sides = Annotated[Sequence[Positive], Length(3), Unit("m")]
+
+
+def build_robot(site: Site, given: Any) -> Robot:
+    """The robot of the section `robot`, with those of `robots` and with `bodies`.
+
+    Raises:
+        SceneError: Names file, key and what is wrong.
+    """
+    others = [*site.parts.get("robots", {}).values(), *site.parts.get("bodies", {}).values()]
+    gravity = site.parts.get("gravity")
+    if given is site.section.absent:
+        if not others:
+            raise SceneError(f"{site.origin.name}: key 'robot' is missing, or robots, or bodies")
+        return _read(others, gravity or EARTH_GRAVITY, site.origin.name)
+    text = site.origin.description
+    entry = read_entry(site.where, given, site.origin.path is None and text is not None)
+    if gravity is not None and entry.gravity is not None:
+        raise SceneError(f"{site.where}.gravity: given twice, there is a section 'gravity'")
+    gravity = gravity or entry.gravity or EARTH_GRAVITY
+    recipe = _recipe(site, entry)
+    where = site.origin.name if others else site.where
+    try:
+        robot = _read([recipe, *others], gravity, where)
+    except SceneError as error:
+        raise SceneError(f"{error}{_joints_to_lock(recipe)}") from error
+    model = site.origin.model
+    if (entry.osim or entry.mjcf) is None or model is None:
+        return robot
+    return replace(robot, ignored=(*robot.ignored, *model.left_out))
+
+
+def _read(recipes: Sequence[Recipe], gravity: Sequence[float], where: str) -> Robot:
+    try:
+        return read_robots(recipes, gravity)
+    except ModelError as error:
+        raise SceneError(f"{where}: {error}") from error
 
 
 @dataclass(frozen=True)
@@ -64,33 +98,49 @@ def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
     return entry
 
 
-def build_robot(site: Site, given: Any) -> Robot:
-    """The robot of the section `robot`, with those of `robots` and with `bodies`.
+def _recipe(site: Site, entry: RobotEntry) -> Recipe:
+    where, text = site.where, site.origin.description
+    if (entry.osim or entry.mjcf) is not None:
+        assert site.origin.model is not None
+        source, text = site.origin.model[:2]
+    elif entry.urdf is not None:
+        source, text = _read_urdf(site, entry.urdf, where)
+    elif text is None:
+        raise SceneError(
+            f"{where}: the description comes from topic {entry.description_topic}, which only a "
+            "node can read; give 'urdf' to use the scene offline"
+        )
+    else:
+        source = f"topic {entry.description_topic}" if entry.description_topic else "URDF text"
+    pose = _placed(entry.pose, where)
+    recipe = Recipe(text, source, entry.base, entry.locked, entry.rename, None, "", pose)
+    return recipe._replace(any_inertias=entry.any_inertias)
 
-    Raises:
-        SceneError: Names file, key and what is wrong.
-    """
-    others = [*site.parts.get("robots", {}).values(), *site.parts.get("bodies", {}).values()]
-    gravity = site.parts.get("gravity")
-    if given is site.section.absent:
-        if not others:
-            raise SceneError(f"{site.origin.name}: key 'robot' is missing, or robots, or bodies")
-        return _read(others, gravity or EARTH_GRAVITY, site.origin.name)
-    text = site.origin.description
-    entry = read_entry(site.where, given, site.origin.path is None and text is not None)
-    if gravity is not None and entry.gravity is not None:
-        raise SceneError(f"{site.where}.gravity: given twice, there is a section 'gravity'")
-    gravity = gravity or entry.gravity or EARTH_GRAVITY
-    recipe = _recipe(site, entry)
-    where = site.origin.name if others else site.where
+
+def _read_urdf(site: Site, name: str, entry: str) -> tuple[str, str]:
+    where = f"{entry}.urdf"
+    file = find_file(site.origin.folder, name, where)
     try:
-        robot = _read([recipe, *others], gravity, where)
+        return str(file), read_text(file, MAX_CHARACTERS, "robot description")
     except SceneError as error:
-        raise SceneError(f"{error}{_joints_to_lock(recipe)}") from error
-    model = site.origin.model
-    if (entry.osim or entry.mjcf) is None or model is None:
-        return robot
-    return replace(robot, ignored=(*robot.ignored, *model.left_out))
+        raise SceneError(f"{where}: {error}") from error
+
+
+def _placed(pose: Mapping[str, Any] | None, where: str) -> Any:
+    if pose is None:
+        return None
+    return pin.XYZQUATToSE3(read_pose(pose, f"{where}.pose"))
+
+
+def _joints_to_lock(recipe: Recipe) -> str:
+    """The joints there are, where nothing but `locked` is wrong."""
+    if not recipe.locked:
+        return ""
+    try:
+        robot = read_robots([recipe._replace(locked=None)])
+    except ModelError:
+        return ""
+    return f"; the robot has {', '.join(joint.name for joint in robot.joints)}"
 
 
 def build_robots(site: Site, given: Any) -> dict[str, Recipe]:
@@ -170,71 +220,8 @@ def _body(
     elif mass is None and (free or inertia is not None):
         raise SceneError(f"{where}: key 'mass' is missing")
     else:
-        pass
-
         recipe = shaped(name, where, shape, mass, inertia)
     return recipe._replace(base="floating" if free else "fixed", pose=_placed(pose, where))
-
-
-def _placed(pose: Mapping[str, Any] | None, where: str) -> Any:
-    if pose is None:
-        return None
-
-    return pin.XYZQUATToSE3(read_pose(pose, f"{where}.pose"))
-
-
-def _recipe(site: Site, entry: RobotEntry) -> Recipe:
-    where, text = site.where, site.origin.description
-    if (entry.osim or entry.mjcf) is not None:
-        assert site.origin.model is not None
-        source, text = site.origin.model[:2]
-    elif entry.urdf is not None:
-        source, text = _read_urdf(site, entry.urdf, where)
-    elif text is None:
-        raise SceneError(
-            f"{where}: the description comes from topic {entry.description_topic}, which only a "
-            "node can read; give 'urdf' to use the scene offline"
-        )
-    else:
-        source = f"topic {entry.description_topic}" if entry.description_topic else "URDF text"
-    pose = _placed(entry.pose, where)
-    recipe = Recipe(text, source, entry.base, entry.locked, entry.rename, None, "", pose)
-    return recipe._replace(any_inertias=entry.any_inertias)
-
-
-def _read(recipes: Sequence[Recipe], gravity: Sequence[float], where: str) -> Robot:
-    try:
-        return read_robots(recipes, gravity)
-    except ModelError as error:
-        raise SceneError(f"{where}: {error}") from error
-
-
-def _joints_to_lock(recipe: Recipe) -> str:
-    """The joints there are, where nothing but `locked` is wrong."""
-    if not recipe.locked:
-        return ""
-    try:
-        robot = read_robots([recipe._replace(locked=None)])
-    except ModelError:
-        return ""
-    return f"; the robot has {', '.join(joint.name for joint in robot.joints)}"
-
-
-def _read_urdf(site: Site, name: str, entry: str) -> tuple[str, str]:
-    where = f"{entry}.urdf"
-    file = find_file(site.origin.folder, name, where)
-    try:
-        return str(file), read_text(file, MAX_CHARACTERS, "robot description")
-    except SceneError as error:
-        raise SceneError(f"{where}: {error}") from error
-
-
-# ---- body entry -------------------------------------------------------------------------------
-# An entry of the section `bodies` -> what a body is read from.
-
-
-Metres = Annotated[Positive, Unit("m")]
-_Sides = Annotated[Sequence[Positive], Length(3), Unit("m")]
 
 
 def shaped(
@@ -316,76 +303,3 @@ _SHAPES: Mapping[str, Any] = {
     "capsule": _capsule,
 }
 _BY_KEYS = ("cylinder", "capsule")
-
-
-# ---- pose entry -------------------------------------------------------------------------------
-# Poses and velocities of bodies as a scene writes them.
-
-
-_SMALLEST = 1.0e-6  # length of a quaternion that still says which way to turn
-_Quaternion = Annotated[Sequence[float], Length(4), Unit("x, y, z, w")]
-
-
-def read_pose(given: Any, where: str) -> Array:
-    """A pose `{xyz: [..], rpy: [..]}` or `{xyz: [..], quaternion: [x, y, z, w]}`.
-
-    Args:
-        given: What the file holds; what it leaves out is 0.
-        where: File and key, for the messages.
-
-    Returns:
-        Position [m], then the quaternion (x, y, z, w) of length 1, shape (7,).
-
-    Raises:
-        SceneError: Names key, what is wrong and what is accepted.
-    """
-    pose: Array = schema.call(_pose, given, where, where)
-    return pose
-
-
-def read_twist(given: Any, where: str, rotation: Array) -> Array:
-    """A velocity `{linear: [..], angular: [..], expressed_in: body}`.
-
-    Args:
-        given: What the file holds; what it leaves out is 0.
-        where: File and key, for the messages.
-        rotation: Of the axes of the body in the world, shape (3, 3).
-
-    Returns:
-        Velocity of the body's origin [m/s], then of its axes [rad/s], in its own axes, shape (6,).
-
-    Raises:
-        SceneError: Names key, what is wrong and what is accepted.
-    """
-    twist: Array = schema.call(_twist, given, where, rotation)
-    return twist
-
-
-def _pose(
-    where: str,
-    *,
-    xyz: Vector = (0.0, 0.0, 0.0),
-    rpy: Vector | None = None,
-    quaternion: _Quaternion | None = None,
-) -> Array:
-    if quaternion is None:
-        turn = pin.Quaternion(rotation_matrix(rpy or (0.0, 0.0, 0.0))).coeffs()
-        return np.concatenate((xyz, turn))
-    if rpy is not None:
-        raise SceneError(f"{where}: give either 'rpy' or 'quaternion'")
-    turn = np.array(quaternion)
-    length = float(np.linalg.norm(turn))
-    if length < _SMALLEST:
-        raise SceneError(f"{where}.quaternion: {quaternion} says no rotation, expected length 1")
-    return np.concatenate((xyz, turn / length))
-
-
-def _twist(
-    rotation: Array,
-    *,
-    linear: Vector = (0.0, 0.0, 0.0),
-    angular: Vector = (0.0, 0.0, 0.0),
-    expressed_in: Literal["body", "world"] = "body",
-) -> Array:
-    axes = np.eye(3) if expressed_in == "body" else rotation.T
-    return np.concatenate((axes.dot(linear), axes.dot(angular)))

@@ -86,7 +86,7 @@ def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array
     if not (initial.pose or initial.twist):
         return
     from mbd_ros.core.kinematics.poses import configuration_of
-    from mbd_ros.scene.reading.robot_entry import read_pose, read_twist
+    from mbd_ros.scene.reading.pose_entry import read_pose, read_twist
 
     bases = {base.name: base for base in robot.bases}
     for key, given in (("pose", initial.pose or {}), ("twist", initial.twist or {})):
