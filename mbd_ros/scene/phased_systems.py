@@ -1,4 +1,11 @@
-"""Phases by names -> a system a phase, with guards and resets."""
+"""Phases by names -> a system a phase, with guards and resets.
+
+A guard is a number whose zero ends a phase; a contact that is held may neither pull, slip nor tip.
+A reset is an impact, and a relabelling of joints and internal states that change their names
+between two phases, such as exchanged legs.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
@@ -44,228 +51,10 @@ from mbd_ros.scene.phase_plans import GuardPlan, PhasePlan, ResetEntry
 from mbd_ros.scene.reading.phase_entries import known
 from mbd_ros.scene.schema import schema
 
-# ---- phase exits ------------------------------------------------------------------------------
-# Guards of phases by names -> numbers whose zeros end a phase.
-
-
-_WAYS = {"up": 1, "down": -1, "both": 0}
-_DOWN = ("touch_down", "lift_off", "slip", "tip")  # act so, unless an entry says it
-
-
-class PhaseExits:
-    """What ends the phases of a scene, and what may not happen in them.
-
-    Args:
-        robot: The robot.
-        contacts: All contacts by name.
-    """
-
-    def __init__(self, robot: Robot, contacts: Mapping[str, Any]) -> None:
-        self._robot, self._contacts = robot, contacts
-
-    def phase(
-        self,
-        plan: PhasePlan,
-        at: Mapping[str, int],
-        following: Sequence[int],
-        resets: Sequence[PhaseReset],
-    ) -> Phase:
-        """A phase.
-
-        Args:
-            plan: Its plan.
-            at: Where its multipliers stand, by name.
-            following: Number of the next phase, one a guard.
-            resets: What happens at once, one a guard.
-
-        Raises:
-            SceneError: A guard looks at a multiplier that the phase does not have.
-        """
-        given = zip(plan.guards, following, resets, strict=True)
-        exits = tuple(self._exit(plan, guard, at, then, reset) for guard, then, reset in given)
-        looked_at = {(g.entry.lift_off, "pulls") for g in plan.guards}
-        looked_at |= {(g.entry.slip, "slips") for g in plan.guards}
-        looked_at |= {(g.entry.tip, "tips") for g in plan.guards}
-        held = plan.contacts if plan.held else ()
-        every = [(name, *one) for name in held for one in self.checks(name, at)]
-        demands = tuple(check for _, _, check in every)
-        checks = tuple(check for name, word, check in every if (name, word) not in looked_at)
-        limit = float("inf") if plan.limit is None else plan.limit
-        return Phase(plan.name, exits, checks, demands, limit)
-
-    def checks(self, name: str, at: Mapping[str, int]) -> list[tuple[str, Check]]:
-        """What a contact that is held may not do."""
-        pulls = Check(
-            f"{name}_pulls",
-            name,
-            self._normal(name, at),
-            f"contact {name} is held and would pull; accepted: a guard lift_off: {name}, or "
-            "held: false",
-        )
-        slips = Check(
-            f"{name}_slips",
-            name,
-            self._room(name, at),
-            f"contact {name} is held and would slip, friction {self._friction(name):g} is too "
-            f"small; accepted: a guard slip: {name}, more friction, or held: false",
-        )
-        if len(self._along(name, at, 0)) < 2:
-            return [("pulls", pulls), ("slips", slips)]
-        tips = Check(
-            f"{name}_tips",
-            name,
-            Footing(self._contacts[name], self._along(name, at, 0)),
-            f"contact {name} is held and would tip about an edge of its points; accepted: a "
-            f"guard tip: {name}, or held: false",
-        )
-        return [("pulls", pulls), ("slips", slips), ("tips", tips)]
-
-    def _exit(
-        self,
-        plan: PhasePlan,
-        guard: GuardPlan,
-        at: Mapping[str, int],
-        then: int,
-        reset: PhaseReset,
-    ) -> Exit:
-        """A way out of a phase."""
-        entry = guard.entry
-        usual = "down" if any(getattr(entry, key) is not None for key in _DOWN) else "both"
-        condition = None
-        if guard.when is not None:
-            above = guard.when.above
-            level = guard.when.below if above is None else above
-            assert level is not None
-            condition = Condition(self._sum_of(guard.when, level), above is not None)
-        crossing = None if entry.time is not None else self._crossing(plan, guard, at)
-        way = _WAYS[entry.direction or usual]
-        return Exit(guard.name, crossing, way, condition, entry.time, then, reset)
-
-    def _crossing(self, plan: PhasePlan, guard: GuardPlan, at: Mapping[str, int]) -> Crossing:
-        """The number whose zero ends a phase."""
-        entry = guard.entry
-        if entry.touch_down is not None:
-            return Gap(self._contacts[entry.touch_down])
-        if entry.lift_off is not None:
-            return self._normal(entry.lift_off, at)
-        if entry.slip is not None:
-            return self._room(entry.slip, at)
-        if entry.tip is not None:
-            return Footing(self._contacts[entry.tip], self._along(entry.tip, at, 0))
-        if entry.force is not None:
-            return self._normal(entry.force, at, entry.at)
-        if entry.multiplier is not None:
-            if entry.multiplier not in at:
-                there = ", ".join(at) or "none"
-                raise SceneError(
-                    f"{guard.where}.multiplier: phase {plan.name} has no multiplier "
-                    f"'{entry.multiplier}', there are: {there}"
-                )
-            return Force([at[entry.multiplier]], entry.at)
-        return self._sum_of(entry, entry.at)
-
-    def _sum_of(self, entry: Any, level: float) -> Combination:
-        """A sum of joint positions times factors, less a level."""
-        factors = {entry.joint: 1.0} if entry.joint is not None else dict(entry.joints)
-        q = np.array([self._robot.joint(name).q for name in factors], dtype=np.intp)
-        return Combination(q, np.array(list(factors.values()), dtype=np.float64), level)
-
-    def _friction(self, name: str) -> float:
-        """Smallest coefficient of friction of a contact."""
-        return float(np.min(self._contacts[name].law.mu))
-
-    def _normal(self, name: str, at: Mapping[str, int], level: float = 0.0) -> Force:
-        """Force along the normals of a contact that is held."""
-        return Force(self._along(name, at, 0), level)
-
-    def _along(self, name: str, at: Mapping[str, int], axis: int) -> list[int]:
-        """Slots of a contact along its normals (0) or tangents (1, 2), those that exist."""
-        rows = [f"{name}.{row.name}" for row in self._contacts[name].rows[axis::3]]
-        return [at[row] for row in rows if row in at]
-
-    def _room(self, name: str, at: Mapping[str, int]) -> ConeRoom:
-        """What friction of a contact that is held has left."""
-        tangents = self._along(name, at, 1), self._along(name, at, 2)
-        return ConeRoom(self._friction(name), self._along(name, at, 0), tangents)
-
-
-# ---- phased systems ---------------------------------------------------------------------------
-# Phases by names -> a system a phase, with guards and resets.
-
-
-# Joints and internal states that change their names between two phases: exchanged legs.
-
-Sources = dict[str, dict[str, float]]
-
-
-def relabelling_of(scene: Scene, entry: ResetEntry, where: str) -> Relabelling | None:
-    """The relabelling of a reset; None where everything keeps its name.
-
-    Args:
-        scene: The scene.
-        entry: The reset.
-        where: File and key, for the messages.
-
-    Raises:
-        SceneError: A name that nothing has or that is given twice, a joint whose source is a
-            state, or what cannot be told apart afterwards.
-    """
-    joints = {joint.name: joint for joint in scene.robot.joints}
-    states = {name: i for i, name in enumerate(scene.internals.names) if name}
-    sources = _sources(entry, (*joints, *states), where)
-    shifts = entry.shift or {}
-    chosen = list(dict.fromkeys([*sources, *shifts, *(n for s in sources.values() for n in s)]))
-    if not chosen:
-        return None
-    own, inner = ([n for n in chosen if n in kind] for kind in (joints, states))
-    for name, given in sources.items():
-        if any((source in states) != (name in states) for source in given):
-            raise SceneError(f"{where}: {name}: a joint and an internal state are not the same")
-    A, B = _matrix(own, sources, where), _matrix(inner, sources, where)
-    b = np.array([shifts.get(name, 0.0) for name in own])
-    q, v = (np.array([getattr(joints[n], key) for n in own], dtype=np.intp) for key in "qv")
-    return Relabelling(q, v, A, b, np.array([states[n] for n in inner], dtype=np.intp), B)
-
-
-def _sources(entry: ResetEntry, names: Collection[str], where: str) -> Sources:
-    """Name -> what it is made of, by factors."""
-    sources = {name: dict(given) for name, given in (entry.relabel or {}).items()}
-    for name, given in sources.items():
-        for one in (name, *given):
-            known(one, names, _WHAT, f"{where}.relabel.{name}")
-    for name, swapped in (entry.exchange or {}).items():
-        key = f"{where}.exchange.{name}"
-        one = swapped if isinstance(swapped, Mapping) else {"joint": swapped}
-        other, factor = schema.call(_swapped, one, key)
-        for each in {known(name, names, _WHAT, key), known(other, names, _WHAT, key)}:
-            if each in sources:
-                raise SceneError(f"{key}: {each} is relabelled twice")
-        sources[name] = {other: factor}
-        sources[other] = {name: 1.0 / factor}
-    return sources
-
-
-def _matrix(names: Sequence[str], sources: Sources, where: str) -> Array:
-    """What makes the values of all names of those before, shape (n, n)."""
-    matrix = np.eye(len(names))
-    for name in (name for name in names if name in sources):
-        row = names.index(name)
-        matrix[row] = 0.0
-        for source, factor in sources[name].items():
-            matrix[row, names.index(source)] = factor
-    if not abs(np.linalg.det(matrix)) > TINY:
-        raise SceneError(
-            f"{where}: {', '.join(names)} cannot be told apart afterwards: each needs a source "
-            "of its own"
-        )
-    return matrix
-
-
 _WHAT = "joint or internal state"
-
-
-def _swapped(joint: str, factor: NotZero = 1.0) -> tuple[str, float]:
-    return joint, factor
+_WAYS = {"up": 1, "down": -1, "both": 0}
+Sources = dict[str, dict[str, float]]  # name -> what it is made of, by factors
+_DOWN = ("touch_down", "lift_off", "slip", "tip")  # act so, unless an entry says it
 
 
 def build_phased_system(
@@ -446,3 +235,207 @@ class _Systems:
         held = set(contacts) if plan.held else set[str]()
         rigid = (part.name for part in self.rows(plan, held) if part.law.is_rigid)
         return {*rigid, *self.couplings(plan).dependent}
+
+
+class PhaseExits:
+    """What ends the phases of a scene, and what may not happen in them.
+
+    Args:
+        robot: The robot.
+        contacts: All contacts by name.
+    """
+
+    def __init__(self, robot: Robot, contacts: Mapping[str, Any]) -> None:
+        self._robot, self._contacts = robot, contacts
+
+    def phase(
+        self,
+        plan: PhasePlan,
+        at: Mapping[str, int],
+        following: Sequence[int],
+        resets: Sequence[PhaseReset],
+    ) -> Phase:
+        """A phase.
+
+        Args:
+            plan: Its plan.
+            at: Where its multipliers stand, by name.
+            following: Number of the next phase, one a guard.
+            resets: What happens at once, one a guard.
+
+        Raises:
+            SceneError: A guard looks at a multiplier that the phase does not have.
+        """
+        given = zip(plan.guards, following, resets, strict=True)
+        exits = tuple(self._exit(plan, guard, at, then, reset) for guard, then, reset in given)
+        looked_at = {(g.entry.lift_off, "pulls") for g in plan.guards}
+        looked_at |= {(g.entry.slip, "slips") for g in plan.guards}
+        looked_at |= {(g.entry.tip, "tips") for g in plan.guards}
+        held = plan.contacts if plan.held else ()
+        every = [(name, *one) for name in held for one in self.checks(name, at)]
+        demands = tuple(check for _, _, check in every)
+        checks = tuple(check for name, word, check in every if (name, word) not in looked_at)
+        limit = float("inf") if plan.limit is None else plan.limit
+        return Phase(plan.name, exits, checks, demands, limit)
+
+    def checks(self, name: str, at: Mapping[str, int]) -> list[tuple[str, Check]]:
+        """What a contact that is held may not do."""
+        pulls = Check(
+            f"{name}_pulls",
+            name,
+            self._normal(name, at),
+            f"contact {name} is held and would pull; accepted: a guard lift_off: {name}, or "
+            "held: false",
+        )
+        slips = Check(
+            f"{name}_slips",
+            name,
+            self._room(name, at),
+            f"contact {name} is held and would slip, friction {self._friction(name):g} is too "
+            f"small; accepted: a guard slip: {name}, more friction, or held: false",
+        )
+        if len(self._along(name, at, 0)) < 2:
+            return [("pulls", pulls), ("slips", slips)]
+        tips = Check(
+            f"{name}_tips",
+            name,
+            Footing(self._contacts[name], self._along(name, at, 0)),
+            f"contact {name} is held and would tip about an edge of its points; accepted: a "
+            f"guard tip: {name}, or held: false",
+        )
+        return [("pulls", pulls), ("slips", slips), ("tips", tips)]
+
+    def _exit(
+        self,
+        plan: PhasePlan,
+        guard: GuardPlan,
+        at: Mapping[str, int],
+        then: int,
+        reset: PhaseReset,
+    ) -> Exit:
+        """A way out of a phase."""
+        entry = guard.entry
+        usual = "down" if any(getattr(entry, key) is not None for key in _DOWN) else "both"
+        condition = None
+        if guard.when is not None:
+            above = guard.when.above
+            level = guard.when.below if above is None else above
+            assert level is not None
+            condition = Condition(self._sum_of(guard.when, level), above is not None)
+        crossing = None if entry.time is not None else self._crossing(plan, guard, at)
+        way = _WAYS[entry.direction or usual]
+        return Exit(guard.name, crossing, way, condition, entry.time, then, reset)
+
+    def _crossing(self, plan: PhasePlan, guard: GuardPlan, at: Mapping[str, int]) -> Crossing:
+        """The number whose zero ends a phase."""
+        entry = guard.entry
+        if entry.touch_down is not None:
+            return Gap(self._contacts[entry.touch_down])
+        if entry.lift_off is not None:
+            return self._normal(entry.lift_off, at)
+        if entry.slip is not None:
+            return self._room(entry.slip, at)
+        if entry.tip is not None:
+            return Footing(self._contacts[entry.tip], self._along(entry.tip, at, 0))
+        if entry.force is not None:
+            return self._normal(entry.force, at, entry.at)
+        if entry.multiplier is not None:
+            if entry.multiplier not in at:
+                there = ", ".join(at) or "none"
+                raise SceneError(
+                    f"{guard.where}.multiplier: phase {plan.name} has no multiplier "
+                    f"'{entry.multiplier}', there are: {there}"
+                )
+            return Force([at[entry.multiplier]], entry.at)
+        return self._sum_of(entry, entry.at)
+
+    def _sum_of(self, entry: Any, level: float) -> Combination:
+        """A sum of joint positions times factors, less a level."""
+        factors = {entry.joint: 1.0} if entry.joint is not None else dict(entry.joints)
+        q = np.array([self._robot.joint(name).q for name in factors], dtype=np.intp)
+        return Combination(q, np.array(list(factors.values()), dtype=np.float64), level)
+
+    def _friction(self, name: str) -> float:
+        """Smallest coefficient of friction of a contact."""
+        return float(np.min(self._contacts[name].law.mu))
+
+    def _normal(self, name: str, at: Mapping[str, int], level: float = 0.0) -> Force:
+        """Force along the normals of a contact that is held."""
+        return Force(self._along(name, at, 0), level)
+
+    def _along(self, name: str, at: Mapping[str, int], axis: int) -> list[int]:
+        """Slots of a contact along its normals (0) or tangents (1, 2), those that exist."""
+        rows = [f"{name}.{row.name}" for row in self._contacts[name].rows[axis::3]]
+        return [at[row] for row in rows if row in at]
+
+    def _room(self, name: str, at: Mapping[str, int]) -> ConeRoom:
+        """What friction of a contact that is held has left."""
+        tangents = self._along(name, at, 1), self._along(name, at, 2)
+        return ConeRoom(self._friction(name), self._along(name, at, 0), tangents)
+
+
+def relabelling_of(scene: Scene, entry: ResetEntry, where: str) -> Relabelling | None:
+    """The relabelling of a reset; None where everything keeps its name.
+
+    Args:
+        scene: The scene.
+        entry: The reset.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: A name that nothing has or that is given twice, a joint whose source is a
+            state, or what cannot be told apart afterwards.
+    """
+    joints = {joint.name: joint for joint in scene.robot.joints}
+    states = {name: i for i, name in enumerate(scene.internals.names) if name}
+    sources = _sources(entry, (*joints, *states), where)
+    shifts = entry.shift or {}
+    chosen = list(dict.fromkeys([*sources, *shifts, *(n for s in sources.values() for n in s)]))
+    if not chosen:
+        return None
+    own, inner = ([n for n in chosen if n in kind] for kind in (joints, states))
+    for name, given in sources.items():
+        if any((source in states) != (name in states) for source in given):
+            raise SceneError(f"{where}: {name}: a joint and an internal state are not the same")
+    A, B = _matrix(own, sources, where), _matrix(inner, sources, where)
+    b = np.array([shifts.get(name, 0.0) for name in own])
+    q, v = (np.array([getattr(joints[n], key) for n in own], dtype=np.intp) for key in "qv")
+    return Relabelling(q, v, A, b, np.array([states[n] for n in inner], dtype=np.intp), B)
+
+
+def _sources(entry: ResetEntry, names: Collection[str], where: str) -> Sources:
+    """Name -> what it is made of, by factors."""
+    sources = {name: dict(given) for name, given in (entry.relabel or {}).items()}
+    for name, given in sources.items():
+        for one in (name, *given):
+            known(one, names, _WHAT, f"{where}.relabel.{name}")
+    for name, swapped in (entry.exchange or {}).items():
+        key = f"{where}.exchange.{name}"
+        one = swapped if isinstance(swapped, Mapping) else {"joint": swapped}
+        other, factor = schema.call(_swapped, one, key)
+        for each in {known(name, names, _WHAT, key), known(other, names, _WHAT, key)}:
+            if each in sources:
+                raise SceneError(f"{key}: {each} is relabelled twice")
+        sources[name] = {other: factor}
+        sources[other] = {name: 1.0 / factor}
+    return sources
+
+
+def _swapped(joint: str, factor: NotZero = 1.0) -> tuple[str, float]:
+    return joint, factor
+
+
+def _matrix(names: Sequence[str], sources: Sources, where: str) -> Array:
+    """What makes the values of all names of those before, shape (n, n)."""
+    matrix = np.eye(len(names))
+    for name in (name for name in names if name in sources):
+        row = names.index(name)
+        matrix[row] = 0.0
+        for source, factor in sources[name].items():
+            matrix[row, names.index(source)] = factor
+    if not abs(np.linalg.det(matrix)) > TINY:
+        raise SceneError(
+            f"{where}: {', '.join(names)} cannot be told apart afterwards: each needs a source "
+            "of its own"
+        )
+    return matrix

@@ -9,12 +9,9 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema.sections import Section, parts_in
 
-# ---- scene summary ----------------------------------------------------------------------------
-# A scene in a few lines, for a prompt and for a notebook.
-
-
 _WIDTH, _LINES = 90, 9
-_TOLD = (
+# Sections that have lines of their own, or none.
+_TOLD = [
     "gravity",
     "robot",
     "couplings",
@@ -24,14 +21,7 @@ _TOLD = (
     "dt",
     "initial",
     "safe",
-)
-
-
-class Lines(str):
-    """A text that a notebook shows line by line."""
-
-    def __repr__(self) -> str:
-        return str(self)
+]
 
 
 def scene_text(scene: Scene) -> str:
@@ -42,15 +32,6 @@ def scene_text(scene: Scene) -> str:
         rows = [*rows[: _LINES - 1], ("and", shorten(rest, _WIDTH, placeholder=" .."))]
     width = max(len(label) for label, _ in rows) + 2
     return "\n".join([f"Scene {scene.name}", *(f"  {n:<{width}}{text}" for n, text in rows)])
-
-
-def scene_html(scene: Scene) -> str:
-    """A table element; names are escaped, since they come from files of others."""
-    rows = "".join(
-        f"<tr><th>{html.escape(label)}</th><td>{html.escape(text)}</td></tr>"
-        for label, text in _rows(scene)
-    )
-    return f"<table><caption>{html.escape(f'Scene {scene.name}')}</caption>{rows}</table>"
 
 
 def _rows(scene: Scene) -> Iterator[tuple[str, str]]:
@@ -69,6 +50,10 @@ def _rows(scene: Scene) -> Iterator[tuple[str, str]]:
     yield "run", f"{method}, dt {scene.dt:g} s, solver {scene.solver.type}"
 
 
+def _listed(names: tuple[str, ...]) -> str:
+    return shorten(f"{len(names)}: {', '.join(names)}", _WIDTH, placeholder=" ..")
+
+
 def _names(scene: Scene, section: Section) -> tuple[str, ...]:
     built = scene.parts[section.key]
     if isinstance(built, Mapping):
@@ -76,12 +61,13 @@ def _names(scene: Scene, section: Section) -> tuple[str, ...]:
     return tuple(type(part).__name__ for part in parts_in(section, built))
 
 
-def _listed(names: tuple[str, ...]) -> str:
-    return shorten(f"{len(names)}: {', '.join(names)}", _WIDTH, placeholder=" ..")
-
-
-# ---- coordinate names -------------------------------------------------------------------------
-# Names of independent velocities, for messages to people.
+def scene_html(scene: Scene) -> str:
+    """A table element; names are escaped, since they come from files of others."""
+    rows = "".join(
+        f"<tr><th>{html.escape(label)}</th><td>{html.escape(text)}</td></tr>"
+        for label, text in _rows(scene)
+    )
+    return f"<table><caption>{html.escape(f'Scene {scene.name}')}</caption>{rows}</table>"
 
 
 def coordinate_names(robot: Robot, couplings: Couplings) -> list[str]:
@@ -96,3 +82,10 @@ def velocity_names(robot: Robot, chosen: Iterable[int]) -> list[str]:
         words = (f"{kind}_{axis}" for kind in ("linear", "angular") for axis in "xyz")
         names |= {base.v.start + i: f"{base.name}.{word}" for i, word in enumerate(words)}
     return [names[int(v)] for v in chosen]
+
+
+class Lines(str):
+    """A text that a notebook shows line by line."""
+
+    def __repr__(self) -> str:
+        return str(self)

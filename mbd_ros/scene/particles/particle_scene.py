@@ -20,10 +20,6 @@ from mbd_ros.scene.reading.building import build, present, refuse_unknown
 from mbd_ros.scene.reading.part_entries import build_part
 from mbd_ros.scene.schema.sections import PARTICLES, keys
 
-# ---- particle scene ---------------------------------------------------------------------------
-# A scene of particles: points and rows between them, no robot.
-
-
 METHODS = ("rattle", "shake")
 
 
@@ -97,11 +93,8 @@ class ParticleScene:
 
     @cached_property
     def _system(self) -> ParticleSystem:
-        plain, kind = self.particles.system, self.parts["solver"].type
-        if kind == "plain":
-            return plain
-
-        return system_for(plain, self.units.force, kind, f"{self.name}: solver")
+        kind = self.parts["solver"].type
+        return system_for(self.particles.system, self.units.force, kind, f"{self.name}: solver")
 
     def stepper(
         self, *, dt: float | None = None, integrator: Mapping[str, Any] | None = None
@@ -128,50 +121,6 @@ class ParticleScene:
         return f"ParticleScene {self.name}: {kinds}; units {self.units.name}"
 
 
-def build_particle_scene(origin: Origin, entries: Mapping[str, Any]) -> ParticleScene:
-    """A scene of entries that have a section `particles`.
-
-    Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
-    """
-    refuse_unknown(origin, [key for key in entries if key not in keys(PARTICLES)], PARTICLES)
-    entries = present(entries)
-    return ParticleScene(origin, build(origin, entries, PARTICLES).parts, entries)
-
-
-def build_method(site: Any, given: Any) -> Integrator:
-    """The section `integrator`."""
-    return _method(given, site.where)
-
-
-def _method(given: Any, where: str) -> Integrator:
-    kind = given.get("type") if isinstance(given, Mapping) else given
-    if kind not in METHODS:
-        raise SceneError(
-            f"{where}: {kind!r} does not step particles; accepted: {', '.join(METHODS)}"
-        )
-    method: Integrator = build_part("integrators", given, where)
-    return method
-
-
-# ---- compiling --------------------------------------------------------------------------------
-# What of a scene of particles runs in native code.
-
-
-def compiled_system(system: ParticleSystem, force_unit: str) -> ParticleSystem:
-    """The system with native forces of pairs, and native steps where a kind has them.
-
-    Raises:
-        MbdError: There is no compiler, or a package is missing.
-    """
-    pairs: Any = system.pairs
-    if isinstance(pairs, Pairs):
-        from mbd_ros.compiled.particles.pair_kernel import CompiledKernel
-
-        pairs = pairs.with_kernel(CompiledKernel(pairs.model))
-    return ParticleSystem(system.kinds, pairs, force_unit, _steps(system))
-
-
 def system_for(system: ParticleSystem, force_unit: str, kind: str, where: str) -> ParticleSystem:
     """The system as the section `solver` asks for it.
 
@@ -194,6 +143,20 @@ def system_for(system: ParticleSystem, force_unit: str, kind: str, where: str) -
         raise SceneError(f"{where}: {error}") from error
 
 
+def compiled_system(system: ParticleSystem, force_unit: str) -> ParticleSystem:
+    """The system with native forces of pairs, and native steps where a kind has them.
+
+    Raises:
+        MbdError: There is no compiler, or a package is missing.
+    """
+    pairs: Any = system.pairs
+    if isinstance(pairs, Pairs):
+        from mbd_ros.compiled.particles.pair_kernel import CompiledKernel
+
+        pairs = pairs.with_kernel(CompiledKernel(pairs.model))
+    return ParticleSystem(system.kinds, pairs, force_unit, _steps(system))
+
+
 def _steps(system: ParticleSystem) -> Callable[[Molecules, float, bool], KindSteps] | None:
     """What takes half steps of a kind; None where none is native."""
     if not any(len(kind.atoms) == 3 and len(kind.rows) == 3 for kind in system.kinds):
@@ -205,3 +168,29 @@ def _steps(system: ParticleSystem) -> Callable[[Molecules, float, bool], KindSte
         return made_by(kind, tolerance, projects)
 
     return steps
+
+
+def _method(given: Any, where: str) -> Integrator:
+    kind = given.get("type") if isinstance(given, Mapping) else given
+    if kind not in METHODS:
+        raise SceneError(
+            f"{where}: {kind!r} does not step particles; accepted: {', '.join(METHODS)}"
+        )
+    method: Integrator = build_part("integrators", given, where)
+    return method
+
+
+def build_particle_scene(origin: Origin, entries: Mapping[str, Any]) -> ParticleScene:
+    """A scene of entries that have a section `particles`.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    refuse_unknown(origin, [key for key in entries if key not in keys(PARTICLES)], PARTICLES)
+    entries = present(entries)
+    return ParticleScene(origin, build(origin, entries, PARTICLES).parts, entries)
+
+
+def build_method(site: Any, given: Any) -> Integrator:
+    """The section `integrator`."""
+    return _method(given, site.where)

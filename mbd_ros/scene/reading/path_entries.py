@@ -24,11 +24,8 @@ from mbd_ros.scene.reading.coupling_entries import one_function
 from mbd_ros.scene.reading.pose_entry import read_pose
 from mbd_ros.scene.schema import schema
 
-# ---- path entries -----------------------------------------------------------------------------
-# Entries of paths -> paths, and the paths that parts name.
-
-
 MAX_POINTS = 1000  # of one path
+_SHAPES = ("cylinder", "sphere", "ellipsoid", "torus")
 
 
 def path_of(robot: Robot, given: Any, where: str) -> Path:
@@ -45,34 +42,6 @@ def path_of(robot: Robot, given: Any, where: str) -> Path:
     """
     path: Path = schema.call(_path, given, where, robot, where)
     return path
-
-
-def with_paths(
-    part: type, entry: Mapping[str, Any], where: str, robot: Robot, known: Mapping[str, Path]
-) -> dict[str, Any]:
-    """An entry with paths in place of their names, for arguments annotated as `Path`.
-
-    Args:
-        part: The class that takes the entry.
-        entry: What the file holds.
-        where: File and key, for the messages.
-        robot: The robot.
-        known: The paths of the scene by name.
-
-    Raises:
-        SceneError: An unknown name, or an entry that is no path.
-    """
-    hints, found = typing.get_type_hints(part.__init__), dict(entry)
-    for key in found.keys() & hints.keys():
-        given = found[key]
-        if given is None or Path not in (hints[key], *typing.get_args(hints[key])):
-            continue
-        if isinstance(given, str) and given not in known:
-            accepted = ", ".join(known) or "none: the scene has no `paths`"
-            raise SceneError(f"{where}.{key}: no path '{given}', accepted: {accepted}")
-        is_name = isinstance(given, str)
-        found[key] = known[given] if is_name else path_of(robot, given, f"{where}.{key}")
-    return found
 
 
 def _path(
@@ -105,24 +74,6 @@ def _path(
     return paths[0] if len(paths) == 1 else JoinedPaths(paths)
 
 
-def _polynomial(
-    robot: Robot, *, joints: Mapping[str, Sequence[float]], terms: Sequence[Sequence[float]]
-) -> Path:
-    return PolynomialPath(robot, joints, terms)
-
-
-def _wraps(robot: Robot, wraps: Sequence[Any], where: str) -> Any:
-
-    if len(wraps) > MAX_POINTS:
-        raise ModelError(f"{len(wraps)} wraps, accepted are {MAX_POINTS}")
-    return [read_wrap(robot, one, f"{where}.wraps[{i}]") for i, one in enumerate(wraps)]
-
-
-def _term(given: float | Sequence[float]) -> CouplingFunction:
-    """Radius of a pulley [m], or coefficients of a polynomial."""
-    return Linear(given) if isinstance(given, float) else Polynomial(given)
-
-
 def _via(
     robot: Robot,
     where: str,
@@ -139,6 +90,14 @@ def _via(
     return MovingViaPoint(robot, frame, xyz, joint, functions, interval)
 
 
+def _interval(
+    robot: Robot, *, joint: str, lower: Unlimited = -math.inf, upper: Unlimited = math.inf
+) -> Interval:
+    if not lower <= upper:
+        raise ModelError(f"lower {lower:g} is above upper {upper:g}")
+    return Interval(robot.joint(joint), lower, upper)
+
+
 def _moves(
     where: str, *, joint: str, x: Any = None, y: Any = None, z: Any = None
 ) -> tuple[str, dict[str, CouplingFunction]]:
@@ -151,19 +110,49 @@ def _moves(
     }
 
 
-def _interval(
-    robot: Robot, *, joint: str, lower: Unlimited = -math.inf, upper: Unlimited = math.inf
-) -> Interval:
-    if not lower <= upper:
-        raise ModelError(f"lower {lower:g} is above upper {upper:g}")
-    return Interval(robot.joint(joint), lower, upper)
+def _wraps(robot: Robot, wraps: Sequence[Any], where: str) -> Any:
+    if len(wraps) > MAX_POINTS:
+        raise ModelError(f"{len(wraps)} wraps, accepted are {MAX_POINTS}")
+    return [read_wrap(robot, one, f"{where}.wraps[{i}]") for i, one in enumerate(wraps)]
 
 
-# ---- wrap entries -----------------------------------------------------------------------------
-# Entries of wraps of a path -> surfaces on links.
+def _term(given: float | Sequence[float]) -> CouplingFunction:
+    """Radius of a pulley [m], or coefficients of a polynomial."""
+    return Linear(given) if isinstance(given, float) else Polynomial(given)
 
 
-_SHAPES = ("cylinder", "sphere", "ellipsoid", "torus")
+def _polynomial(
+    robot: Robot, *, joints: Mapping[str, Sequence[float]], terms: Sequence[Sequence[float]]
+) -> Path:
+    return PolynomialPath(robot, joints, terms)
+
+
+def with_paths(
+    part: type, entry: Mapping[str, Any], where: str, robot: Robot, known: Mapping[str, Path]
+) -> dict[str, Any]:
+    """An entry with paths in place of their names, for arguments annotated as `Path`.
+
+    Args:
+        part: The class that takes the entry.
+        entry: What the file holds.
+        where: File and key, for the messages.
+        robot: The robot.
+        known: The paths of the scene by name.
+
+    Raises:
+        SceneError: An unknown name, or an entry that is no path.
+    """
+    hints, found = typing.get_type_hints(part.__init__), dict(entry)
+    for key in found.keys() & hints.keys():
+        given = found[key]
+        if given is None or Path not in (hints[key], *typing.get_args(hints[key])):
+            continue
+        if isinstance(given, str) and given not in known:
+            accepted = ", ".join(known) or "none: the scene has no `paths`"
+            raise SceneError(f"{where}.{key}: no path '{given}', accepted: {accepted}")
+        is_name = isinstance(given, str)
+        found[key] = known[given] if is_name else path_of(robot, given, f"{where}.{key}")
+    return found
 
 
 def read_wrap(robot: Robot, given: Any, where: str) -> Wrap:

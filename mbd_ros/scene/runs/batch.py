@@ -1,5 +1,7 @@
 """Many runs of a scene side by side, from other starts and with other numbers."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -12,72 +14,12 @@ from mbd_ros.errors import DivergedError, MbdError, SceneError, SolveError
 from mbd_ros.methods.simulation.samples import sample_times
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.runs.compiling import Impossible, attempted
+from mbd_ros.scene.runs.compiling import Impossible, attempted, silent, traced
 from mbd_ros.scene.runs.simulation import build_simulation
 from mbd_ros.scene.variants import with_numbers
 
 if TYPE_CHECKING:
     from mbd_ros.compiled.runs.lane_runs import LaneRuns
-
-
-# ---- batch runs -------------------------------------------------------------------------------
-# Many runs as arrays: where they start, what they did, and one of them taken alone.
-
-
-class Runs(NamedTuple):
-    """What a batch returns.
-
-    Attributes:
-        states: Time [s], positions, velocities of all joints and internal states, as the rows of
-            `Simulation.sampled`; shape (n, samples, 1 + nq + nv + nz). NaN after a run has ended.
-        known: How many samples each run has, shape (n,).
-        failures: Run -> why it ended early.
-    """
-
-    states: Array
-    known: NDArray[np.int64]
-    failures: dict[int, MbdError]
-
-
-class Starts(NamedTuple):
-    """Configurations, velocities of all joints and internal states, a row a run."""
-
-    q: Array
-    v: Array
-    z: Array
-
-    def state(self, run: int, t: float) -> State:
-        """Where a run starts, at a time [s]."""
-        return State(t, *(rows[run] for rows in self))
-
-
-def run_alone(
-    simulation: Simulation, x: State, duration: float, out: Array
-) -> tuple[int, MbdError | None]:
-    """One run, taken alone; how many samples it has, and why it ended early.
-
-    Args:
-        simulation: Takes it.
-        x: Its start.
-        duration: [s].
-        out: Gets the samples, those of `Runs.states`.
-    """
-    out[...], count = np.nan, 0
-    try:
-        with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
-            for each in simulation.run(x, duration):
-                out[count], count = np.concatenate(([each.t], *each[1:4])), count + 1
-    except (DivergedError, SolveError) as error:
-        return count, error
-    return count, None
-
-
-# ---- batch ------------------------------------------------------------------------------------
-# Many runs of a scene side by side, from other starts and with other numbers.
-
-
-def _silent(line: str) -> None:
-    """Nobody is told."""
 
 
 class Batch:
@@ -118,7 +60,7 @@ class Batch:
         chosen = scene.chosen_solver(entry)
         plain = "plain" if chosen.tier == "auto" else chosen.tier
         self._options = {**options, "solver": {"type": plain, "backend": chosen.backend}}
-        self._threads, self._tell, self._must = threads, tell or _silent, chosen.must_compile
+        self._threads, self._tell, self._must = threads, tell or silent, chosen.must_compile
         self._lanes: LaneRuns | None = None
         self._alone: Simulation | None = None
         self._may = chosen.compiles or (entry is None and "solver" not in scene.entries)
@@ -272,9 +214,8 @@ class Batch:
                 failures[i] = error
         return rows
 
-    def _compiled(self, scene: Scene, p: Array) -> "LaneRuns":
+    def _compiled(self, scene: Scene, p: Array) -> LaneRuns:
         from mbd_ros.compiled.runs.lane_method import lane_runs
-        from mbd_ros.scene.runs.compiling import traced
 
         one = build_simulation(scene, **self._options) if self.parameters else self._simulation
         return lane_runs(
@@ -282,3 +223,51 @@ class Batch:
             lambda: traced(scene, one.system, self.parameters),
             *(p, self._tell),
         )
+
+
+class Runs(NamedTuple):
+    """What a batch returns.
+
+    Attributes:
+        states: Time [s], positions, velocities of all joints and internal states, as the rows of
+            `Simulation.sampled`; shape (n, samples, 1 + nq + nv + nz). NaN after a run has ended.
+        known: How many samples each run has, shape (n,).
+        failures: Run -> why it ended early.
+    """
+
+    states: Array
+    known: NDArray[np.int64]
+    failures: dict[int, MbdError]
+
+
+class Starts(NamedTuple):
+    """Configurations, velocities of all joints and internal states, a row a run."""
+
+    q: Array
+    v: Array
+    z: Array
+
+    def state(self, run: int, t: float) -> State:
+        """Where a run starts, at a time [s]."""
+        return State(t, *(rows[run] for rows in self))
+
+
+def run_alone(
+    simulation: Simulation, x: State, duration: float, out: Array
+) -> tuple[int, MbdError | None]:
+    """One run, taken alone; how many samples it has, and why it ended early.
+
+    Args:
+        simulation: Takes it.
+        x: Its start.
+        duration: [s].
+        out: Gets the samples, those of `Runs.states`.
+    """
+    out[...], count = np.nan, 0
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a divergence says so itself
+            for each in simulation.run(x, duration):
+                out[count], count = np.concatenate(([each.t], *each[1:4])), count + 1
+    except (DivergedError, SolveError) as error:
+        return count, error
+    return count, None

@@ -1,4 +1,11 @@
-"""Simulations and systems that are compiled, where a scene asks for them."""
+"""Simulations and systems that are compiled, where a scene asks for them.
+
+Steps, functions of a scene with numbers of its parts as arguments, and a system with exact
+derivatives are traced and compiled by `compiled`; what cannot be is taken in plain steps, unless
+the scene demands compiled ones.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
@@ -18,6 +25,7 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.reading.part_entries import part_of
 from mbd_ros.scene.reading.part_names import named_entry
+from mbd_ros.scene.runs.simulation import Tell
 from mbd_ros.scene.schema.sections import parts_in
 from mbd_ros.scene.variants import Place, found_place, places_of, set_value, with_numbers
 
@@ -27,23 +35,9 @@ if TYPE_CHECKING:
     from mbd_ros.compiled.runs.implicit_method import ImplicitMethod
     from mbd_ros.compiled.symbols.trace import Traced
 
-
-# ---- compiling --------------------------------------------------------------------------------
-# Simulations whose steps are compiled, where a scene asks for them.
-
-
 T = TypeVar("T")
-Tell = Callable[[str], None]
+_OF_LINKS = ("mass", "com", "inertia")  # numbers that are no arguments of a part
 _KEPT: WeakKeyDictionary[Any, dict[Any, dict[Any, Any]]] = WeakKeyDictionary()
-
-
-def _silent(line: str) -> None:
-    """Nobody is told."""
-
-
-def kept_for(scene: Any, key: Any) -> dict[Any, Any]:
-    """What is kept while a scene lives, for systems of one key that differ in nothing else."""
-    return _KEPT.setdefault(scene, {}).setdefault(key, {})
 
 
 def compiled_simulation(
@@ -76,7 +70,7 @@ def compiled_simulation(
     try:
         if not is_demanded and (why := _dependence(system, start)):
             raise Impossible(why)
-        simulation = _compiled(system, method, correction, dt, (tell or _silent, kept))
+        simulation = _compiled(system, method, correction, dt, (tell or silent, kept))
     except Impossible as error:
         if is_demanded:
             raise ModelError(
@@ -86,10 +80,6 @@ def compiled_simulation(
         simulation = Simulation(system, method, correction, dt)
         simulation.how = f"not compiled: {error}"
     return simulation
-
-
-class Impossible(ModelError):
-    """Why there are no compiled steps."""
 
 
 def _dependence(system: System, start: State) -> str:
@@ -108,6 +98,10 @@ def _dependence(system: System, start: State) -> str:
     return f"{rank} of {rows} rows are independent, plain steps solve by rank" * (rank < rows)
 
 
+class Impossible(ModelError):
+    """Why there are no compiled steps."""
+
+
 def _compiled(
     system: System,
     method: Integrator,
@@ -121,7 +115,7 @@ def _compiled(
         Impossible: Says why there are none.
     """
 
-    def take() -> "tuple[CompiledMethod | ImplicitMethod, Simulation]":
+    def take() -> tuple[CompiledMethod | ImplicitMethod, Simulation]:
         from mbd_ros.compiled.runs.compiled_method import CompiledMethod
         from mbd_ros.compiled.runs.implicit_method import ImplicitMethod
 
@@ -159,18 +153,20 @@ def _lacking(error: ModuleNotFoundError) -> Exception:
     return Impossible(hint) if hint else error
 
 
-def _described(steps: "CompiledMethod | ImplicitMethod") -> str:
+def _described(steps: CompiledMethod | ImplicitMethod) -> str:
     """What was compiled, and how long that took."""
     library: Any = steps.library
     count = sum(library.source.operations.values())
     return f"compiled: {count} operations by {library.compiler} in {library.seconds:.1f} s"
 
 
-# ---- symbolic parts ---------------------------------------------------------------------------
-# Parts of a scene with symbols instead of some of their numbers, and what is traced of them.
+def silent(line: str) -> None:
+    """Nobody is told."""
 
 
-_OF_LINKS = ("mass", "com", "inertia")
+def kept_for(scene: Any, key: Any) -> dict[Any, Any]:
+    """What is kept while a scene lives, for systems of one key that differ in nothing else."""
+    return _KEPT.setdefault(scene, {}).setdefault(key, {})
 
 
 def traced(
@@ -178,7 +174,7 @@ def traced(
     system: System | None = None,
     parameters: Sequence[str] = (),
     mode: Mode = (),
-) -> "Traced":
+) -> Traced:
     """The functions of a scene, with numbers of its parts as arguments.
 
     Args:
@@ -237,21 +233,13 @@ def parts_of_symbols(scene: Scene, symbols: Mapping[str, Any]) -> dict[str, Part
     return found
 
 
-# ---- compiled system --------------------------------------------------------------------------
-# The system of a scene with exact derivatives.
-
-
-def _compiled_system_silent(line: str) -> None:
-    """Nobody is told."""
-
-
 def compiled_system(
     scene: Scene,
     parameters: Mapping[str, float] | None = None,
     *,
     solver: Mapping[str, str] | None = None,
-    tell: Tell = _compiled_system_silent,
-) -> "CompiledSystem":
+    tell: Tell = silent,
+) -> CompiledSystem:
     """The system of a scene with exact `derivatives`, in native code.
 
     Those by parameters are in the order in which they are given.
@@ -270,7 +258,7 @@ def compiled_system(
     changed = with_numbers(scene, given) if given else scene
     system = changed.system((), solver)
 
-    def take() -> "CompiledSystem":
+    def take() -> CompiledSystem:
         from mbd_ros.compiled.runs import implicit_method
 
         implicit_method.refuse_bounds(system)

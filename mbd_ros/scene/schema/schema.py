@@ -1,4 +1,9 @@
-"""The signature of a function is the schema of its YAML entry."""
+"""The signature of a function is the schema of its YAML entry.
+
+`call` checks an entry against a signature and calls the function. The signature and its docstring
+are the only home of kind, default, range, unit, choices and text of an argument: code that offers
+a part to somebody else, such as a node its gains, reads them by `arguments`.
+"""
 
 import inspect
 import math
@@ -12,16 +17,16 @@ from mbd_ros.core.ranges import ANY_NUMBER, Within, described
 from mbd_ros.core.state import is_symbol
 from mbd_ros.errors import ModelError, SceneError
 
-# ---- schema -----------------------------------------------------------------------------------
-# The signature of a function is the schema of its YAML entry.
-
-
 _EXPECTED = {
     float: "a number",
     int: "an integer",
     str: "a word",
     bool: "true or false",
 }
+_SECTION = re.compile(r"(\w[\w ]*):")  # a line of its own, at the left
+_ENTRY = re.compile(r"\*{0,2}(\w+)(?: \([^)]*\))?:\s*(.*)")  # `name: text` or `name (type): text`
+_KINDS = (bool, int, float, str)
+ACCEPTED = "float, int, bool, str, Literal of texts, or Gain (a float, or one a joint)"
 
 
 def call(function: Callable[..., Any], entry: Any, where: str, *context: Any) -> Any:
@@ -143,60 +148,6 @@ def _within(number: float, accepted: Within, where: str) -> float:
     return number
 
 
-# ---- arguments --------------------------------------------------------------------------------
-# The arguments of a constructor, with their annotations and texts.
-#
-# They are the only home of kind, default, range, unit, choices and text. Code that offers a part
-# to
-# somebody else (a node its gains, for example) reads them here.
-
-
-# The text of each argument in a Google docstring.
-
-_SECTION = re.compile(r"(\w[\w ]*):")  # a line of its own, at the left
-_ENTRY = re.compile(r"\*{0,2}(\w+)(?: \([^)]*\))?:\s*(.*)")  # `name: text` or `name (type): text`
-
-
-def entries(docstring: str | None, section: str = "Args") -> dict[str, str]:
-    """The entries of a section of a docstring.
-
-    Args:
-        docstring: As written, None where there is none.
-        section: Heading, such as `Args` or `Attributes`.
-
-    Returns:
-        Name -> text in one line, in the order of the docstring; empty without the section.
-    """
-    found: dict[str, list[str]] = {}
-    width = name = None
-    for line in _lines(docstring or "", section):
-        indent = len(line) - len(line.lstrip())
-        width = indent if width is None else width
-        entry = _ENTRY.fullmatch(line.strip()) if indent == width else None
-        if entry:
-            name = entry[1]
-            found[name] = [entry[2]]
-        elif name is not None:
-            found[name].append(line.strip())
-    return {key: " ".join(part for part in parts if part) for key, parts in found.items()}
-
-
-def _lines(docstring: str, section: str) -> list[str]:
-    """Lines of a section that are not empty, without its heading."""
-    inside, lines = False, []
-    for line in inspect.cleandoc(docstring).splitlines():
-        if line and not line[0].isspace():
-            heading = _SECTION.fullmatch(line.rstrip())
-            inside = heading is not None and heading[1] == section
-        elif inside and line.strip():
-            lines.append(line)
-    return lines
-
-
-_KINDS = (bool, int, float, str)
-ACCEPTED = "float, int, bool, str, Literal of texts, or Gain (a float, or one a joint)"
-
-
 class Argument(NamedTuple):
     """One argument of a constructor.
 
@@ -271,3 +222,39 @@ def _is_per_joint(members: Sequence[Any]) -> bool:
     """Whether a union is that of `Gain`: a float, or a sequence of them."""
     lists = [m for m in members if typing.get_args(m) == (float,)]
     return len(members) == 2 and float in members and len(lists) == 1
+
+
+def entries(docstring: str | None, section: str = "Args") -> dict[str, str]:
+    """The entries of a section of a docstring.
+
+    Args:
+        docstring: As written, None where there is none.
+        section: Heading, such as `Args` or `Attributes`.
+
+    Returns:
+        Name -> text in one line, in the order of the docstring; empty without the section.
+    """
+    found: dict[str, list[str]] = {}
+    width = name = None
+    for line in _lines(docstring or "", section):
+        indent = len(line) - len(line.lstrip())
+        width = indent if width is None else width
+        entry = _ENTRY.fullmatch(line.strip()) if indent == width else None
+        if entry:
+            name = entry[1]
+            found[name] = [entry[2]]
+        elif name is not None:
+            found[name].append(line.strip())
+    return {key: " ".join(part for part in parts if part) for key, parts in found.items()}
+
+
+def _lines(docstring: str, section: str) -> list[str]:
+    """Lines of a section that are not empty, without its heading."""
+    inside, lines = False, []
+    for line in inspect.cleandoc(docstring).splitlines():
+        if line and not line[0].isspace():
+            heading = _SECTION.fullmatch(line.rstrip())
+            inside = heading is not None and heading[1] == section
+        elif inside and line.strip():
+            lines.append(line)
+    return lines
