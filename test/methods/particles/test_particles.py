@@ -5,13 +5,12 @@ import pytest
 import yaml
 
 import mbd_ros as mbd
-from mbd_ros.api import load_scene
 from mbd_ros.cli import main
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError, SceneError
 from mbd_ros.methods.particles.molecules import ElasticAngle, ElasticBond, Torsion
 from mbd_ros.methods.particles.verlet_steps import ParticleVerlet
-from mbd_ros.scene.reader import description_topic
+from mbd_ros.scene.reader import description_topic, load_scene
 from mbd_ros.scene.schema.locate import embedded_scenes
 
 SCENES = [name for name in embedded_scenes() if name.startswith("particles/")]
