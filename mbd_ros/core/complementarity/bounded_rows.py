@@ -42,12 +42,10 @@ class BoundedRows:
     serves where that does not end. An evaluation does not depend on earlier ones.
 
     Args:
-        constraints: The rows.
         nv: Size of the velocity of the robot.
         backend: Solver of the QP, see `BoxQp`.
 
     Attributes:
-        constraints: The rows.
         rows: One entry a row.
         qp: The solver with its statistics.
         multipliers: Those of the last evaluation, shape (m,).
@@ -73,7 +71,6 @@ class BoundedRows:
 
         Args:
             motion: The `FreeMotion`, just evaluated at t, q, v.
-            t: Time [s].
             q: Integrated configuration.
             v: Integrated velocity.
             a: Acceleration without the rows.
@@ -107,9 +104,6 @@ class BoundedRows:
             joint_a: Accelerations of all joints without the rows.
             lower: Smallest multipliers, shape (m,).
             upper: Largest multipliers, shape (m,).
-
-        Raises:
-            SolveError: As `accelerate`.
         """
         J, b = self.constraints.conditions(motion.mechanism.k, x)
         response = motion.respond(q, J.T)

@@ -34,11 +34,8 @@ class ConeNewton:
 
     Args:
         A: Rates that impulses add, with a diagonal of about one, shape (m, m).
-        contacts: Its rows.
 
     Attributes:
-        A: As given.
-        contacts: As given.
         depends: Whether the rows that held in the last step depended on one another, as far as is
             known.
         seen: The map at the last answer.

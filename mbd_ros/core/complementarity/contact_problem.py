@@ -324,7 +324,6 @@ def searched(
     those of contacts that contradict one another, excuse nothing.
 
     Args:
-        newton: The problem.
         b: Rates without impulses, shape (m,), of the order of 1.
         bounds: What impulses may be.
         start: Impulses to begin with, shape (m,).

@@ -31,7 +31,6 @@ def least_impulses(newton: ConeNewton, seen: Seen, bounds: Bounds, p: Array, uni
     """The impulses of least norm that do what p does; p itself where they are not found.
 
     Args:
-        newton: The problem.
         seen: Its natural map at p.
         bounds: What impulses may be.
         p: An answer, shape (m,).

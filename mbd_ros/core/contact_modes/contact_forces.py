@@ -44,9 +44,6 @@ _LAWS = {Touch.STICKS: Touch.MAY, Touch.SLIPS: Touch.MAY_SLIP}
 class ContactForces:
     """Finds the multipliers of all rows that give way.
 
-    Args:
-        rows: The rows.
-
     Attributes:
         split: How the last ones were found.
         grip: Share of the coefficients of friction that counts where modes are looked for.

@@ -31,11 +31,7 @@ _TOGETHER = 2.0e4  # times the slip that counts as none: slips as slow as that e
 
 
 class ContactModes:
-    """The modes of the contacts of a scene, by their last solve.
-
-    Args:
-        contacts: The contacts.
-    """
+    """The modes of the contacts of a scene, by their last solve."""
 
     def __init__(self, contacts: ExactContacts) -> None:
         self._contacts = contacts
@@ -72,7 +68,6 @@ class ContactModes:
 
         Args:
             slips: Velocities of the contacts along their planes, shape (c, 2).
-            x: State of all joints.
             lam: Multipliers of the last solve, of the rows that go from event to event.
             mode: One entry each of these.
         """
@@ -128,7 +123,6 @@ class ContactModes:
 
         Args:
             slips: As for `margins`.
-            x: State of all joints.
             mode: One entry each of the rows that go from event to event.
         """
         slow = slowest(x)
@@ -141,7 +135,6 @@ class ContactModes:
 
         Args:
             slips: As for `margins`.
-            x: State of all joints.
             mode: One entry each of the rows that go from event to event.
             switch: A tangent of that slip; nothing is found where it has ended.
         """
@@ -163,7 +156,6 @@ class ContactModes:
 
         Args:
             slips: As for `margins`.
-            x: State of all joints.
         """
         moving = np.linalg.norm(slips, axis=1) > slowest(x)
         return [
@@ -195,7 +187,6 @@ class ContactModes:
         Args:
             left: The w, of the rows that go from event to event.
             slack: What counts as none of it.
-            chosen: The contacts.
         """
         found: dict[int, int] = {}
         for c, (i, slip) in enumerate(

@@ -40,7 +40,6 @@ class ExactRows:
         slots: Of their multipliers among those of the scene, shape (n,).
         reach: One entry a row.
         restitution: Shape (n,).
-        solver: As given.
         lam: Multipliers of the last solve, shape (n,).
         left: Their w = g'' + kd g' + kp g there, shape (n,).
         lower: Their lower bounds there, shape (n,).
@@ -98,7 +97,6 @@ class ExactRows:
         """Accelerations of what is integrated, with the rows of a mode.
 
         Args:
-            t: Time [s].
             q: Integrated configuration.
             v: Integrated velocity.
             a: Acceleration without the rows, of the last `accelerate` of the motion.
@@ -217,7 +215,6 @@ class ExactRows:
 
         Args:
             y: State of what is integrated.
-            u: Inputs.
             mode: The present one.
             switch: Tangent of a slip that is slow; None at the start of a step.
         """

@@ -206,7 +206,6 @@ class ExactContacts:
     """The contacts of a scene among all of its rows that give way.
 
     Args:
-        rows: The rows.
         at: Which of them go from event to event, shape (n,).
 
     Attributes:

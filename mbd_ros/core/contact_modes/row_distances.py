@@ -214,7 +214,6 @@ def reach_of(block: RowBlock, own: int = 0) -> Reach:
     """What has to be zero before a row of a block may be on.
 
     Args:
-        block: The block.
         own: Number of the row in it.
     """
     if block.law.kind is Kind.CONE:

@@ -22,7 +22,6 @@ class Chart:
         model: Pinocchio model whose joints have these coordinates.
 
     Attributes:
-        model: As given.
         nq: Size of a configuration.
         nv: Size of a step and of a velocity.
         is_flat: Whether configurations are a vector space with q' = v.
@@ -49,7 +48,6 @@ class Chart:
         """The state x (+) d, at the time and in the mode of x.
 
         Args:
-            x: State.
             d: Step of q, v and z, shape (2 nv + nz,).
         """
         n = self.nv

@@ -30,7 +30,6 @@ class GapSpeed:
     """The weights above of several pairs of bodies.
 
     Args:
-        robot: The robot.
         bodies: Pairs of bodies, and how far what may touch on b is from its origin at most [m];
             None where nobody knows.
 

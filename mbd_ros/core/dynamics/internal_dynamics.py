@@ -42,7 +42,6 @@ class Extended:
         system: The system, with internal states.
 
     Attributes:
-        system: As given.
         chart: Of configurations beside the integrals of internal states.
         nq: Size of such a configuration.
         nv: Size of velocities and internal states together.
@@ -178,7 +177,6 @@ class ExtendedRows:
     Whatever else is asked of them is that of the rows.
 
     Args:
-        rows: The rows.
         nq: Size of the configuration.
         nz: Number of internal states.
     """
@@ -211,7 +209,6 @@ def settled(system: System, y: State, u: Array | None) -> State:
     where one does not help, and else where they come to rest by themselves.
 
     Args:
-        system: The system.
         y: State of what is integrated; z is NaN where nothing is given, or empty.
         u: Inputs; None asks the sources.
 

@@ -35,10 +35,8 @@ class Kkt:
 
     Args:
         mechanism: What moves.
-        rigid: The rows.
 
     Attributes:
-        mechanism: As given.
         coordinates: All joints.
     """
 

@@ -114,9 +114,7 @@ def mode_at(system: System, y: State, u: Array | None) -> Mode:
     """The mode of the exact rows at a state: across an event a difference quotient is no slope.
 
     Args:
-        system: The system.
         y: State of what it integrates; its own mode, if it has one.
-        u: Inputs.
     """
     exact = system.exact
     if exact is None or y.mode:
@@ -246,7 +244,6 @@ class Balance:
         """The f, shape (nv,).
 
         Args:
-            t: Time [s].
             q: Configuration of what is integrated.
             v: Its velocity.
             u: Inputs, as for `System.evaluate`.

@@ -131,9 +131,6 @@ def check_mass_anywhere(system: Any) -> None:
 
     Args:
         system: A `System`.
-
-    Raises:
-        SolveError: As `check_mass`.
     """
     model = system.robot.model
     away = np.linspace(0.3, 1.1, int(model.nv))

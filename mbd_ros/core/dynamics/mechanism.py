@@ -30,12 +30,9 @@ class Mechanism:
     grows with the distance from its origin.
 
     Args:
-        robot: The robot.
         loads: What acts on its joints.
 
     Attributes:
-        robot: As given.
-        loads: As given.
         model: The Pinocchio model.
         data: Its `Data`.
         k: Kinematics over `data`.
@@ -96,12 +93,9 @@ class RigidRows:
     """g(t, q) = 0 of all joints.
 
     Args:
-        mechanism: The mechanism.
-        constraints: The rows.
         sizes: What masses and rows usually are, where that is known.
 
     Attributes:
-        constraints: As given.
         rows: One entry a row.
         sizes: What masses and rows usually are; None without rows.
         condition: Condition number of the rows in the mass metric when last factorised, for

@@ -23,7 +23,6 @@ class Aba:
         mechanism: What moves.
 
     Attributes:
-        mechanism: As given.
         coordinates: All joints.
     """
 
@@ -73,7 +72,6 @@ class Dense(Aba):
         mechanism: What moves.
 
     Attributes:
-        mechanism: As given.
         coordinates: All joints.
     """
 
@@ -99,9 +97,6 @@ class Dense(Aba):
 
 class AllJoints:
     """Coordinates of tiers that integrate every joint.
-
-    Args:
-        mechanism: The mechanism.
 
     Attributes:
         chart: Of the configuration.

@@ -55,8 +55,6 @@ class Showing:
         """Values of `numbers`, shape (len(numbers),), not to be written to.
 
         Args:
-            x: State of all joints.
-            u: All inputs.
             a: Accelerations of all joints, shape (nv,).
             multipliers: Of all rows, in the order of the layout.
 
@@ -116,7 +114,6 @@ def in_link(k: Kinematics, robot: Robot, wrench: Wrench) -> Array:
 
     Args:
         k: Kinematics at positions.
-        robot: The robot.
         wrench: In world axes, about its point.
     """
     link = robot.point(wrench.frame)

@@ -31,10 +31,6 @@ class PhasedSystem:
         first: Number of the phase that begins.
 
     Attributes:
-        phases: As given.
-        systems: As given.
-        slots: As given.
-        first: As given.
         switches: Names of the switches of all phases.
     """
 

@@ -32,10 +32,8 @@ class Reduced:
 
     Args:
         mechanism: What moves.
-        couplings: Its dependent joints.
 
     Attributes:
-        mechanism: As given.
         coordinates: The independent joints.
     """
 
@@ -104,11 +102,9 @@ class Mimic:
 
     Args:
         mechanism: What moves.
-        couplings: Its dependent joints.
         model: What `mimic_model` makes of them.
 
     Attributes:
-        mechanism: As given.
         coordinates: The independent joints.
     """
 
@@ -226,13 +222,8 @@ def mass_matrix(mimic: Any) -> Callable[[Array], Array]:
 class IndependentJoints:
     """Coordinates of tiers that eliminate dependent joints, so that no coupling can open.
 
-    Args:
-        mechanism: The mechanism.
-        couplings: Its dependent joints.
-
     Attributes:
         chart: Of the configuration of y.
-        couplings: As given.
         q: F(y) at the last `at`, live.
         v: G y' there.
         a: dG/dt y' there; entries of independent joints stay zero.
@@ -295,8 +286,6 @@ class IndependentJoints:
         """M a + h - tau of all joints at the last `at`, shape (nv of the robot,).
 
         Args:
-            t: Time [s].
-            u: Inputs.
             a: Accelerations of all joints.
         """
         mechanism, q, v = self._mechanism, self.q, self.v

@@ -43,7 +43,6 @@ class System(Protocol):
 
     Attributes:
         tier: Name of the way of solving.
-        robot: The robot.
         model: Its Pinocchio model.
         loads: What acts on its joints.
         k: Kinematics at the state that was last asked for.
@@ -84,7 +83,7 @@ class System(Protocol):
 
     @property
     def condition(self) -> float:
-        """See the attributes of the class."""
+        """Condition number of `held` when last factorised."""
 
     @property
     def evaluations(self) -> int:
@@ -211,7 +210,7 @@ class FreeMotion(Protocol):
 
     @property
     def coordinates(self) -> Coordinates:
-        """See the attributes of the class."""
+        """What is integrated, beside all joints."""
 
     def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
         """The y'' at a state of y, shape (nv,); the next call may overwrite it."""
@@ -287,7 +286,6 @@ def evaluation_at(system: System, y: State) -> Callable[[], None]:
     """An evaluation of accelerations and rates in the mode of a state, for clocks.
 
     Args:
-        system: The system.
         y: State of what it integrates.
     """
     t, q, v, z, mode = y

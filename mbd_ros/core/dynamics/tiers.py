@@ -41,8 +41,6 @@ def build_system(
     qp: bounded rows on top of any of these; when asked for, all rows go through the QP.
 
     Args:
-        robot: The robot.
-        couplings: Its dependent joints.
         constraints: Constraints of the scene.
         loads: Forces and actuators.
         tier: One of `TIERS`.
@@ -68,13 +66,10 @@ class _Plan:
     """What stays of a system when it is built for other loads or gains.
 
     Args:
-        robot: The robot.
-        couplings: Its dependent joints.
         layout: All rows of the scene.
         internals: The internal states of all parts.
         is_kept: Whether couplings are rows.
         limited: Blocks whose multipliers the QP finds.
-        backend: Its solver.
     """
 
     def __init__(

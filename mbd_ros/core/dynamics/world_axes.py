@@ -29,11 +29,7 @@ class InWorldAxes:
 
     Whatever else they ask is that of the system.
 
-    Args:
-        system: The system.
-
     Attributes:
-        system: As given.
         chart: Of the same configurations, in the axes of the world.
     """
 
@@ -176,7 +172,6 @@ class FreeBodies:
         """A velocity with linear parts in other axes.
 
         Args:
-            v: Velocity, shape (nv,).
             before: Axes in which its linear parts stand, shape (n, 3, 3).
             after: Those in which they shall stand.
         """
@@ -190,7 +185,6 @@ class FreeBodies:
 
         Args:
             chart: Of the configuration.
-            q: Configuration, shape (nq,).
             way: Shape (nv,).
             axes: Shape (n, 3, 3).
         """

@@ -31,8 +31,6 @@ class ContactScreening(StepRows):
     them saves time and changes no result.
 
     Args:
-        mechanism: The mechanism.
-        rows: The rows.
         is_whole: Whether all joints are integrated; others may curve on their way.
     """
 

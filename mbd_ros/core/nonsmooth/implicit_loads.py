@@ -72,7 +72,6 @@ class ImplicitLoads:
         """The matrices of a step at a state of all joints.
 
         Args:
-            x: State of all joints.
             u: Inputs, as for `Loads.total`.
             s: Share of the step that increments count for [s].
         """

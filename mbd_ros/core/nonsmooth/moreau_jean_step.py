@@ -380,7 +380,6 @@ class PositionCorrection:
         min |d|_M   subject to   g + J d >= 0,   J_b d = 0 of bilateral rows
 
     Args:
-        mechanism: The mechanism.
         rigid: Its bilateral rows, which hold on the way.
         rows: The rows that give way.
     """
@@ -390,11 +389,7 @@ class PositionCorrection:
         self._no_rows = np.zeros((0, int(mechanism.model.nv)))
 
     def way(self, x: State) -> Array | None:
-        """The way of all joints from a state of them, shape (nv,); None where no row is beyond 0.
-
-        Args:
-            x: The state.
-        """
+        """The displacement of all joints, shape (nv,); None where no row is beyond 0."""
         rows, rigid = self._rows, self._rigid
         gap = rows.gaps(x)
         if gap is None or (least := float(gap.min())) >= -LANDED:

@@ -113,7 +113,6 @@ class StepProblem(NamedTuple):
         """The g' of some rows at the end of the step, less what they may keep, shape (len(on),).
 
         Args:
-            on: The rows.
             free: Velocity at the end without rows that give way.
         """
         return self.J[on].dot(free) + self.offset[on] + self.rates_left(on)
@@ -176,7 +175,6 @@ class UnilateralSolver:
         """Velocity at the end of the step, from that without rows that give way.
 
         Args:
-            problem: The problem.
             closed: One-sided rows that may push.
             free: The velocity without rows that give way.
             near: The same velocity, as it was before forces on the way to it were known.
@@ -196,8 +194,6 @@ class UnilateralSolver:
         """What the impulses of some rows add to a velocity.
 
         Args:
-            problem: The problem.
-            on: The rows.
             free: The velocity without them.
         """
         if not len(on):
@@ -220,12 +216,7 @@ class UnilateralSolver:
 class StepRows:
     """All rows that give way, in every step.
 
-    Args:
-        mechanism: The mechanism.
-        rows: The rows.
-
     Attributes:
-        rows: As given.
         every: All of them.
         are_one_sided: Whether any row only pushes.
     """

@@ -82,9 +82,6 @@ class KeptProxQp:
 class OtherSolver:
     """A solver of qpsolvers, which starts anew every time.
 
-    Args:
-        backend: Its name.
-
     Raises:
         ModelError: It is not installed.
     """

@@ -83,7 +83,6 @@ class SeparableProgram:
         """The optimum, fresh arrays.
 
         Args:
-            cost: The f.
             A: Shape (m, n).
             b: Shape (m,).
             lower: Shape (n,), -inf without a bound.
@@ -208,7 +207,6 @@ class Problem(NamedTuple):
     """min sum f_i(x_i) subject to A x = b, lower <= x <= upper.
 
     Attributes:
-        cost: The f.
         A: Shape (m, n), rows of about equal size.
         b: Shape (m,).
         lower: Shape (n,), -inf without a bound.
@@ -300,7 +298,6 @@ def refined(problem: Problem, x: Array, lam: Array, most: int) -> Found:
     """The best on the way of Newton's method from x and lam.
 
     Args:
-        problem: The problem.
         x: Start, shape (n,).
         lam: Start, shape (m,).
         most: Steps.
@@ -363,7 +360,6 @@ def ascended(problem: Problem, lam: Array) -> Found:
     of the dual is b - A x(lam). It is concave, so that short enough steps rise.
 
     Args:
-        problem: The problem.
         lam: Start, shape (m,).
     """
     cost, A, sizes = problem.cost, problem.A, np.abs(problem.A)
@@ -421,7 +417,6 @@ def interior_start(
     is no optimum.
 
     Args:
-        cost: The f.
         A: Shape (m, n), rows of about equal size.
         b: Shape (m,).
         lower: Shape (n,), -inf without a bound.
@@ -540,7 +535,6 @@ class SeparableCost(NamedTuple):
     """Sum of f_i(x) = linear_i x + weight_i |x|^p + stiffness_i (x - target_i)^2, p >= 1.
 
     Attributes:
-        exponent: The p.
         weight: Shape (n,), >= 0.
         linear: Shape (n,).
         stiffness: Shape (n,), >= 0.

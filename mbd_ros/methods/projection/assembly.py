@@ -36,7 +36,6 @@ def assemble(system: System, x: State) -> State:
     A state that is consistent to rounding stays what it is, so that runs continue from it.
 
     Args:
-        system: The system.
         x: Any finite state of the integrated coordinates.
 
     Raises:

@@ -37,7 +37,6 @@ class NearestCoupled:
     """Searches without limits first; if some acted last time, with limits and within them.
 
     Args:
-        joints: The couplings.
         lower: Smallest positions [rad or m], shape (n,).
         upper: Largest positions [rad or m], shape (n,).
         of_position: Forces of the limits.

@@ -23,10 +23,6 @@ Bools = NDArray[np.bool_]
 def independent_limits(robot: Robot, couplings: Couplings) -> tuple[Array, Array]:
     """Range of the independent coordinates in which all joints are within limits.
 
-    Args:
-        robot: The robot.
-        couplings: Its dependent joints.
-
     Returns:
         Smallest and largest values [rad or m], shapes (ny,) and (ny,); infinite for free bodies.
     """

@@ -37,10 +37,6 @@ _LISTED = 4  # features in an error message
 def consistent_start(system: System, x: State) -> State:
     """The nearest state of the integrated coordinates with which a motion can begin.
 
-    Args:
-        system: The system.
-        x: State of all joints.
-
     Raises:
         SolveError: The mechanism cannot be assembled near it, its mass matrix is singular, or
             bodies of contacts overlap.
@@ -59,7 +55,6 @@ def without_overlap(system: System, y: State) -> State:
     """A start in which no bodies of rigid contacts overlap.
 
     Args:
-        system: The system.
         y: State of what is integrated, on the bilateral rows.
 
     Raises:

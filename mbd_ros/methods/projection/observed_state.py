@@ -16,7 +16,6 @@ class ObservedState:
 
     Args:
         system: The system with the bilateral rows to keep.
-        couplings: The dependent joints.
 
     Attributes:
         moved: How far a joint of the last state was moved onto the loops [rad or m].

@@ -93,7 +93,6 @@ class ProjectedState(NamedTuple):
     multipliers. They tell how hard each row pushed the measurement onto the constraints.
 
     Attributes:
-        x: The state.
         multipliers: Of the rows, unit of the row's force times s^2, shape (m,).
         limit_multipliers: Of the limits, positive at a lower one, shape (nv,).
         gap: g of the measurement, joints that it lacks taken from x [rad or m], shape (m,).
@@ -191,7 +190,6 @@ class StateProjector:
         """The nearest consistent state.
 
         Args:
-            m: The measurement.
             prepared: What `prepare` gave for it, where that is at hand.
 
         Raises:
@@ -320,7 +318,6 @@ class NearestOnRows:
         """Residual g and its rate g' at any state, shapes (m,) and (m,).
 
         Args:
-            x: The state.
             rows: What `rows` gives for it, where that is at hand.
         """
         g, J = rows or self.rows(x.t, x.q)
@@ -390,7 +387,6 @@ class NearestConfiguration:
         """The nearest configuration.
 
         Args:
-            t: Time [s].
             measured: q_m; where it is beyond limits, the search begins at them, shape (nv,).
             metric: W.
             rows: What `rows` gives for q_m.

@@ -35,7 +35,6 @@ def saltation(flow: HybridFlow, segment: Segment) -> Array:
     """Derivative of the state after an event by the state before it, shape (n, n).
 
     Args:
-        flow: The flow.
         segment: Ends with the event.
 
     Raises:
@@ -51,7 +50,6 @@ def through(flow: HybridFlow, segment: Segment, moved: Array, late: Array) -> tu
     function of the state there.
 
     Args:
-        flow: The flow.
         segment: Ends with the event.
         moved: Derivative of the state before it by some start, shape (n, k).
         late: That of the delay with which its phase began [s], shape (k,).
@@ -86,7 +84,6 @@ def landing(flow: HybridFlow, segment: Segment, moved: Array, late: Array) -> Ar
     """Derivative of the state at which a motion meets the section, from that at a fixed time.
 
     Args:
-        flow: The flow.
         segment: Ends with the event of the section.
         moved: As for `through`.
         late: As for `through`.
@@ -110,7 +107,6 @@ def crossing(flow: HybridFlow, segment: Segment, x: State) -> Crossing:
     """How a motion meets the guard at the end of a segment.
 
     Args:
-        flow: The flow.
         segment: Has the guard.
         x: State on it, before the event.
 
@@ -168,9 +164,7 @@ def landed(flow: HybridFlow, segment: Segment, x: State, rate: Array) -> State:
     """The state where the guard is zero, along a rate from a state near by.
 
     Args:
-        flow: The flow.
         segment: Has the guard.
-        x: State.
         rate: Direction, in the tangent, shape (n,).
     """
     if flow.is_timed(segment):
@@ -193,7 +187,6 @@ def derivative(flow: HybridFlow, f: Callable[[State], Array], x: State) -> Array
 
     Args:
         flow: Adds tangents, and says which are consistent; it is 0 across these.
-        f: The function.
         x: Where.
     """
     basis = flow.basis(x)
@@ -213,7 +206,6 @@ def difference_steps(x: State, size: int) -> Array:
     """Length of a difference in each direction of the tangent, shape (size,).
 
     Args:
-        x: State.
         size: Length of a tangent.
     """
     n = len(x.v)

@@ -44,7 +44,6 @@ class SimulatedFlow(CheckedSteps):
     """Motions of a scene, in the coordinates that are integrated.
 
     Args:
-        system: The system.
         integrator: The method, which has to find events.
         stabilization: Keeps its rows.
         dt: First guess of a step [s].

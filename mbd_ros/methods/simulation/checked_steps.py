@@ -266,7 +266,6 @@ class Overshoot(NamedTuple):
     """A joint beyond a stop.
 
     Attributes:
-        joint: The joint.
         end: The end that it passed [rad or m].
         size: How far it went [rad or m].
         t: When it was there [s].

@@ -44,7 +44,6 @@ class LiveSimulation:
 
     Attributes:
         simulation: At work since the last reset.
-        watch: As given.
         showing: What `Snapshot.shown` holds, and the arrows.
         now: The newest state; after a divergence the last finite one.
         events: What happened in the last tick.
@@ -244,7 +243,6 @@ class Snapshot(NamedTuple):
     """One state of a simulation with the forces that led to it.
 
     Attributes:
-        t: Time [s].
         position: Joints in the order of the robot [rad or m], shape (n,).
         velocity: [rad/s or m/s], shape (n,).
         acceleration: [rad/s^2 or m/s^2], shape (n,), under the command that ends here.

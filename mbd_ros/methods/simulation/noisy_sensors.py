@@ -22,7 +22,6 @@ class NoisySensors:
         seed: Of the noise.
 
     Attributes:
-        sensors: As given.
         needs_reactions: Whether one of them feels forces in joints.
     """
 
@@ -37,7 +36,6 @@ class NoisySensors:
 
         Args:
             system: Of the simulation.
-            x: State of all joints.
             now: Accelerations and multipliers there, with reactions where they are needed.
             sample: Number of the sample, >= 0.
         """

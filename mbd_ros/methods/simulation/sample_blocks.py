@@ -35,9 +35,6 @@ class SampleBlocks:
         times: When samples are due.
         at: Where the run stands.
         alone: Takes a step that the stepper does not take in a block, and checks it.
-
-    Attributes:
-        stepper: As given.
     """
 
     def __init__(
@@ -179,7 +176,6 @@ class RunTable:
     Args:
         x: State of all joints that it was asked for.
         duration: [s].
-        first: The first sample.
         begin: Begins the run.
 
     Attributes:

@@ -41,7 +41,6 @@ def seen_at(
 
     Args:
         simulation: The simulation; its next step is the same afterwards, to the bit.
-        x: The state.
         u: Inputs there; None for those of the sources.
         forces: `Stepper.forces` of the step that led to the state; None where there was none.
 

@@ -36,7 +36,6 @@ class Simulation(CheckedSteps):
 
     Args:
         system: The system; its rows are corrected as the stabilization demands.
-        integrator: The method.
         stabilization: What keeps the rows; idle where the integrator keeps them itself.
         dt: Step of a fixed-step method, and interval of the output [s], > 0.
 
@@ -57,7 +56,6 @@ class Simulation(CheckedSteps):
         """The nearest consistent state of the integrated coordinates to a state of all joints.
 
         Args:
-            x: State of all joints.
             u: Inputs there, which may decide in which mode it goes on.
 
         Raises:
@@ -158,7 +156,6 @@ class Simulation(CheckedSteps):
 
         Raises:
             DivergedError: As `run`.
-            SolveError: As `run`.
         """
         stepper = self.stepper
         if self._table is None or not self._table.serves(x, duration):

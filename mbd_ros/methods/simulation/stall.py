@@ -29,7 +29,6 @@ class StallWatch:
     reach continues, and so does one that is slow for a while.
 
     Args:
-        system: The system.
         dt: Interval of the output [s].
         notice: Is called for a slow run; may be None.
     """
@@ -130,7 +129,6 @@ def refuse_crawl(
     """Refuse to continue within a tick that has taken `PATIENCE` windows of steps.
 
     Args:
-        system: The system.
         x: State of the integrated coordinates now.
         u: Commands.
         step: Mean step in this tick [s].

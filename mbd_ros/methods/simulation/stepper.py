@@ -13,7 +13,6 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
     """The steps of a method, from event to event where a scene has any.
 
     Args:
-        method: The method.
         system: What it integrates.
         dt: Length of a step, or first guess [s].
 
