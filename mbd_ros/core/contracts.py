@@ -65,9 +65,6 @@ class Part:
         """What is zero where w are the rates, in their units, shape (len(internal),).
 
         A part whose rates solve an equation states that equation instead, for collocation.
-
-        Args:
-            w: Rates of `internal`.
         """
         return w - self.rates(k, x, u)
 

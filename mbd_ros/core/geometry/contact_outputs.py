@@ -68,7 +68,6 @@ class ContactShow:
         """Values of `outputs`.
 
         Args:
-            k: Kinematics at positions.
             forces: On a in the contact frames: normal, friction along x and y [N], shape (n, 3).
             slips: Which features slip where they press, shape (n,); None where friction at its
                 bound says so.

@@ -49,7 +49,6 @@ def contact_pair(robot: Robot, between: Between, margin: float = 0.0) -> Contact
     """The features of two bodies.
 
     Args:
-        between: Both bodies.
         margin: Distance at which surfaces count as touching [m].
 
     Raises:
@@ -161,13 +160,11 @@ class ContactPair:
     point, which both bodies are pushed at.
 
     Args:
-        between: Both bodies.
         met: Their features.
         margin: Distance at which surfaces count as touching [m].
         reach: Of the body that moves in the first of them, from its point there [m].
 
     Attributes:
-        between: Both bodies.
         features: Names of the slots, fixed while building.
         is_smooth: Whether gaps are twice differentiable, so that events can be found.
         why_not: Why they are not; empty where they are.

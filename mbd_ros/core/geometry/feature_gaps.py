@@ -37,8 +37,6 @@ class Meeting:
         features: Names, one a feature.
 
     Attributes:
-        pair: As given.
-        features: As given.
         reach: How far points of the moving body that may touch are from its origin, the second
             point of the pair, at most [m].
         why_not: Why its gaps are not twice differentiable; empty where they are.

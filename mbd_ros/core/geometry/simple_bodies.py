@@ -314,7 +314,6 @@ class CylinderOnPlane(Meeting):
 
     Args:
         pair: The half space, as the observer, and the centre of the cylinder.
-        cylinder: Its sizes.
     """
 
     why_not = "the lowest point of the rim of a cylinder jumps where it stands upright"

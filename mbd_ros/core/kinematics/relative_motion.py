@@ -52,7 +52,6 @@ class PairMotion:
 
     Args:
         model: Pinocchio model of the robot.
-        data: Its `Data`.
         a: Where the observer stands.
         b: Where the observed point stands.
         columns: As `Pair.columns`.
@@ -141,8 +140,6 @@ class PairMotion:
 
         Args:
             function: Goes with complex numbers.
-            pose: The pose.
-            rates: Of its entries.
         """
         turned = pose.rotation + 1j * _STEP * rates.rotation
         found = function(Pose(turned, pose.translation + 1j * _STEP * rates.translation))

@@ -21,10 +21,6 @@ class SampledKinematics:
         q: Configurations, shape (n, nq).
         joints: Indices of the joints that carry what is asked for.
         search: Finds paths that wrap, as `wrapping.taut.taut` does, from path, points and places.
-
-    Attributes:
-        q: As given.
-        search: As given.
     """
 
     def __init__(

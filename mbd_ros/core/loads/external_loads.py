@@ -63,7 +63,6 @@ class ExternalWrench(Load):
         """The load about the origin and in the axes of `carrier`, shape (6,).
 
         Args:
-            k: Kinematics at positions.
             wrench: Force [N] then torque [N·m] in `expressed_in`, shape (6,).
         """
         return k.carried(wrench, self.about, self.carrier)
@@ -171,7 +170,6 @@ def at_stamps(samples: WrenchSamples, stamps: NDArray[np.int64], max_age: int) -
     """A recorded load at the stamps of a motion, as `WrenchBuffer.at` gives it.
 
     Args:
-        samples: The recording.
         stamps: Times [ns], shape (n,).
         max_age: How long the newest sample stands for later times [ns].
 

@@ -66,7 +66,6 @@ class Sources:
 
     Attributes:
         idle: As given, not to be written to.
-        given: As given.
         smooth: The sources that are asked at every stage.
     """
 

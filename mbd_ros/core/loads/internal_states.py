@@ -106,11 +106,7 @@ class Internals:
         return z
 
     def check(self, z: Array) -> None:
-        """Refuse internal states of another scene.
-
-        Raises:
-            ModelError: Another size.
-        """
+        """Refuse internal states of another scene."""
         if len(z) != self.nz:
             names = ", ".join(filter(None, self.names))
             raise ModelError(

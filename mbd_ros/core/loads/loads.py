@@ -90,11 +90,7 @@ class Loads:
         return Loads(len(self._zero), self.forces, self.actuators, self.sources, parts)
 
     def beside(self, k: Kinematics, x: State) -> Loads:
-        """The loads near a state, smooth across the surfaces at which they jump.
-
-        Args:
-            k: As for `total`.
-        """
+        """The loads near a state, smooth across the surfaces at which they jump."""
         forces = [force.beside(k, x) for force in self.forces]
         if all(one is other for one, other in zip(forces, self.forces, strict=True)):
             return self
@@ -123,11 +119,7 @@ class Loads:
         return sum(part.potential(k, x) for part in (*self.actuators, *self.forces))
 
     def inputs(self, x: State, u: Array | None) -> Array:
-        """All inputs at a state, shape (nu,).
-
-        Args:
-            u: As for `total`.
-        """
+        """All inputs at a state, shape (nu,)."""
         if u is None:
             return self.sources.at(x.t) if self._has_sources else self.idle
         return self.sources.complete(u, x.t) if self._is_smooth else u
@@ -156,7 +148,6 @@ class BodyLoads:
         """Replace all loads by the external ones.
 
         Args:
-            k: Kinematics at positions.
             values: One (6,) array [N, N·m] for every external load; none means unloaded.
 
         Raises:

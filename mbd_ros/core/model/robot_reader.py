@@ -46,7 +46,6 @@ def read_robot(
     """Build a robot from a description.
 
     Args:
-        text: URDF.
         source: File or topic of the text, for the messages.
         gravity: Acceleration of gravity in the world frame [m/s^2], shape (3,).
         base: `fixed`, or `floating` for a root link that moves freely.

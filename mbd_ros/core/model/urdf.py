@@ -54,7 +54,6 @@ def parse_urdf(
     """Root element of a URDF that has passed every check of this module.
 
     Args:
-        text: The URDF.
         source: File or topic it came from, for the messages.
         inertias: Of links, in place of those of the text, see `place_inertias`.
 

@@ -202,7 +202,6 @@ def contraction_of(
     """Fibres and tendon by what is published of a muscle.
 
     Args:
-        curves: Normalised forces.
         max_isometric_force: [N].
         optimal_fiber_length: The l_opt [m].
         tendon_slack_length: [m].
@@ -251,7 +250,6 @@ def stable_lengths(contraction: Contraction, a: float, length: float) -> list[fl
     length, fibres shorten to the least one.
 
     Args:
-        contraction: Of the muscle.
         length: Of the path [m].
     """
     shortest = contraction.pennation.shortest

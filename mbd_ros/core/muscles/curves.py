@@ -44,7 +44,6 @@ class BezierCurve:
         curviness: 0 .. 1, one a segment: how far it goes into the corner of its tangents.
 
     Attributes:
-        knots: As given.
         key: Equal where curves are.
     """
 
@@ -59,7 +58,6 @@ class BezierCurve:
 
         Args:
             k: Functions of numbers, symbols or arrays.
-            x: Abscissa.
         """
         breaks = [knot.x for knot in self.knots[1:-1]]
         row = k.piece(x, breaks, self._segments)

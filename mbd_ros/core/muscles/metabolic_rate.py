@@ -67,10 +67,6 @@ def metabolic_rate(
 
     Args:
         k: Functions of numbers or symbols.
-        muscle: Fibres and tendon.
-        activation: Of the muscle.
-        excitation: Of the muscle.
-        fiber: Its fibres.
         numbers: What else it depends on.
     """
     steep, mass, v = numbers.smoothing, numbers.mass(muscle), fiber.velocity

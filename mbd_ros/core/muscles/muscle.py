@@ -37,11 +37,6 @@ class Muscle(PathLoad, Actuator):
         contraction: Fibres and tendon.
         dynamics: How activation follows excitation.
         tendon: `elastic` or `rigid`.
-
-    Attributes:
-        contraction: Fibres and tendon.
-        dynamics: How activation follows excitation.
-        tendon: `elastic` or `rigid`.
     """
 
     joints = ()
@@ -85,7 +80,7 @@ class Muscle(PathLoad, Actuator):
         return k.array([rate, fiber.velocity])
 
     def balance(self, k: Kinematics, x: State, u: Array, w: Array) -> Array:
-        """As `Part.balance`; fibres against their tendon, in peak forces times largest speeds."""
+        """What is zero at rates w: fibres against tendon, in peak forces times largest speeds."""
         activation, fiber_length = self._states(k, x)
         off = k.item(w, 0) - self.dynamics.rate(k, k.item(u, self.u.start or 0), activation)
         if not self.is_elastic:

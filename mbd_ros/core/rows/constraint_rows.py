@@ -28,8 +28,6 @@ class ConstraintRows:
         gains: kp [1/s^2] and kd [1/s] of rows that do not give way.
 
     Attributes:
-        blocks: As given.
-        gains: As given.
         cones: Contacts with friction among these rows, their slots counted here.
         parts: Their constraints.
         rows: One entry a row.

@@ -23,7 +23,6 @@ class HeldContact(Constraint):
         contact: The contact, a constraint with the law `cone`.
 
     Attributes:
-        contact: As given.
         name: That of the contact, whose multipliers these are.
 
     Raises:

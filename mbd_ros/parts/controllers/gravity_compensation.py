@@ -61,7 +61,7 @@ class GravityCompensation(Controller):
         return pd_gains(damping * self._bandwidth.max(), damping)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """The control at a state; see `Controller.effort`."""
+        """The control at a state."""
         joints = self.joints
         r = joints.response(x._replace(v=np.zeros_like(x.v)))
         moving = r._replace(v=joints.velocities(x))

@@ -60,7 +60,7 @@ class SlidingMode(Controller):
         self._law = ReachingLaw(len(joints), law, gain, rate, power, boundary_layer)
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """The control at a state; see `Controller.effort`."""
+        """The control at a state."""
         r = self.joints.response(x)
         s, a_keep = sliding_variable(r, ref, self._bandwidth)
         mobility = MobilityFactor(r.mobility)

@@ -77,7 +77,7 @@ class SuperTwisting(Controller):
         return np.zeros(len(self.joints))
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """The control at a state; see `Controller.effort`."""
+        """The control at a state."""
         r = self.joints.response(x)
         s, a_keep = sliding_variable(r, ref, self._bandwidth)
         push, rate = super_twisting(s, self._k1, self._k2)

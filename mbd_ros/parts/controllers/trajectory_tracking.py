@@ -74,7 +74,7 @@ class TrajectoryTracking(Controller):
         return {"time of the plan": f"{t:.6g} of {end:.6g} s", "tube of the plan": tube}
 
     def effort(self, x: State, ref: Reference, memory: Array, box: EffortBox) -> Control:
-        """The control at a state; see `Controller.effort`."""
+        """The control at a state."""
         t = float(memory[0])
         r, wanted = self.joints.response(x), self.plan.at(t)
         e = np.concatenate([x.q[self._q] - wanted.q, x.v[self._v] - wanted.v])

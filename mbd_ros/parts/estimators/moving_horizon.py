@@ -76,7 +76,7 @@ class MovingHorizon(Estimator):
         self._high = high
 
     def begin(self, x: Any, P: Array, t: float = 0.0) -> Belief:
-        """As `Estimator.begin`."""
+        """Start from a prior, which is the arrival cost of an empty window."""
         super().begin(x, P, t)
         self._nodes = list[Node]()
         self._filtered = self.belief.P
@@ -89,7 +89,7 @@ class MovingHorizon(Estimator):
         return self.belief
 
     def predict(self, u: Array | None, t: float) -> Belief:
-        """As `Estimator.predict`."""
+        """The belief at a later time, by the motion from the newest node."""
         process, belief = self.process, self.belief
         going = process.advance(belief.x, u, t)
         ahead = going.x
@@ -109,7 +109,7 @@ class MovingHorizon(Estimator):
         return self.belief
 
     def correct(self, measurement: Measurement, seen: Observation | None = None) -> Belief:
-        """As `Estimator.correct`; with `is_late` it is a step of the filter, not of the window."""
+        """The belief by a measurement; with `is_late` by a step of the filter alone."""
         process, x = self.process, self.belief.x
         values = np.asarray(measurement.values, dtype=np.float64)
         if measurement.used is not None:
@@ -149,13 +149,13 @@ class MovingHorizon(Estimator):
         return Belief(t, x, judged.P, judged.innovation, False, "late: filter alone")
 
     def remember(self) -> Any:
-        """As `Estimator.remember`."""
+        """The window and what was released of its bounds, to be taken up again."""
         kept = self.belief, self._filtered, self._predicted, list(self._arrivals)
         released = set(self._chain.released)
         return kept, list(self._nodes), self._has_prior, self.answer, released
 
     def recall(self, memory: Any) -> None:
-        """As `Estimator.recall`."""
+        """Take up a window."""
         kept, nodes, self._has_prior, self.answer, released = memory
         self._chain.released = set(released)
         self.belief, self._filtered, self._predicted, arrivals = kept

@@ -158,11 +158,7 @@ def _session(model: LearnedFile, said: About) -> Any:
 
 
 def _check_answer(session: Any, said: About) -> None:
-    """Refuse a network that does not answer in the shapes of its joints.
-
-    Raises:
-        ValueError: Says which output.
-    """
+    """Refuse a network that does not answer in the shapes of its joints."""
     m = len(said.joints)
     shapes = {_TORQUE: (m,), _SPREAD: (m,)}
     if said.kind == "structured":

@@ -97,7 +97,7 @@ class _Steps(Stepper):
         self._is_fresh, self._is_slow, self._h = True, True, 0.0
 
     def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
+        """Take up what an earlier step has kept, with the coefficients for its length."""
         super().recall(memory, x)
         self._scale(self._h)
 
@@ -108,7 +108,7 @@ class _Steps(Stepper):
         return self._advance(x, u, h, t)
 
     def again(self, h: float, t: float) -> State:
-        """As `Stepper.again`, with the same derivatives."""
+        """The last step once more by another length, with the same derivatives."""
         places = np.minimum(self._c * (h / self._h), 1.0)
         guess = np.vander(places, len(places), increasing=True).dot(self._vander)
         self._K, self._turn = guess.dot(self._K), guess.dot(self._turn)
@@ -118,7 +118,7 @@ class _Steps(Stepper):
         return self._advance(self._x, self._u, h, t)
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
-        """As `Stepper.follow`."""
+        """Go on with other accelerations, as in another mode."""
         self._accelerate, self._mode = accelerate, mode
         self._differentiate = Linearization(self._system, accelerate).derivatives
         self.restart()

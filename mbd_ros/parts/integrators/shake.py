@@ -90,7 +90,7 @@ class _Steps(Stepper):
         return {**super().memory(), "verlet": self._verlet.memory()}
 
     def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
+        """Take up what an earlier step has kept, the corrections of its Verlet steps included."""
         super().recall({name: memory[name] for name in self.kept}, x)
         self._verlet.recall(memory["verlet"])
 

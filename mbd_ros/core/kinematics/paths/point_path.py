@@ -216,8 +216,6 @@ class SwitchedPath(Path):
 
     Args:
         interval: Where the joint must be.
-        inside: The path there.
-        outside: The path elsewhere.
     """
 
     reads = Reads.JACOBIAN

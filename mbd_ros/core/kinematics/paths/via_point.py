@@ -28,7 +28,6 @@ class ViaPoint:
     Attributes:
         point: As kinematics know it.
         frame: Name of the link.
-        within: As given.
         moves: Whether any joint moves it.
         is_held: By its link, at one place.
         joint: The joint that slides it along its link; None where it is held.
@@ -86,7 +85,6 @@ class MovingViaPoint(ViaPoint):
             gives are not read.
         joint: The joint that moves it.
         functions: x, y or z -> that coordinate, as function of the position of the joint [m].
-        within: As for `ViaPoint`.
     """
 
     is_held = False
@@ -185,7 +183,6 @@ class Interval(NamedTuple):
     """Positions of a joint, its ends included.
 
     Attributes:
-        joint: The joint.
         lower: Smallest position [rad or m], -inf without one.
         upper: Largest position [rad or m], inf without one.
     """
@@ -212,7 +209,6 @@ def slopes_of(
     """J of n samples, shape (n, nv), of a length that changes with points.
 
     Args:
-        points: The points.
         places: Where they are, shape (n, m, 3).
         change: By how much the length changes with them, shape (n, m, 3).
     """

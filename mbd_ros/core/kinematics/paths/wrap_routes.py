@@ -39,7 +39,6 @@ class Router:
 
     Args:
         points: Points of the path in common axes [m], shape (n, m, 3).
-        reaches: Its wraps.
         places: Where they are, one a wrap.
     """
 

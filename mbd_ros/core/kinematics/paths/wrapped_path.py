@@ -208,8 +208,6 @@ def taut(points: Array, reaches: Sequence[Reach], places: Sequence[Placed]) -> T
 
     Args:
         points: In common axes [m], shape (n, m, 3).
-        reaches: Its wraps.
-        places: Where they are.
 
     Raises:
         SolveError: A geodesic is not found.
