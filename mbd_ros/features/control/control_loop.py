@@ -3,6 +3,8 @@
 Before a command leaves it is checked: it must be finite, and within the reach of the drives.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -19,72 +21,6 @@ from mbd_ros.methods.control.contract import Control, Controller, EffortBox, Ref
 from mbd_ros.methods.simulation.safe_command import SafeCommand
 
 _ROUNDING = 1.0e-9  # share of a hand-over that comes of adding steps
-
-
-class Guard:
-    """Keeps efforts within limits of size and of rate.
-
-    Args:
-        names: Joints, for messages.
-        limit: Largest effort of each joint [N·m or N], shape (n,), inf without a limit.
-        rate: Largest change of it [N·m/s or N/s], > 0, one for all joints; inf without a limit.
-
-    Attributes:
-        rate: May change at any time.
-    """
-
-    def __init__(self, names: Sequence[str], limit: Array, rate: float = math.inf) -> None:
-        self._names, self.limit, self.rate = tuple(names), limit, rate
-
-    @property
-    def powerless(self) -> tuple[str, ...]:
-        """Joints whose limit is 0: commands to them have no effect."""
-        return tuple(n for n, limit in zip(self._names, self.limit, strict=True) if limit == 0.0)
-
-    def sized(self, effort: Array) -> Array:
-        """Efforts clipped to the limits of size, fresh, shape (n,)."""
-        return np.minimum(np.maximum(effort, -self.limit), self.limit)
-
-    def box(self, last: Array, dt: float) -> EffortBox:
-        """Efforts that may be sent now.
-
-        Args:
-            last: The efforts sent last [N·m or N], shape (n,).
-            dt: Time since then [s], >= 0.
-        """
-        if self.rate == math.inf:
-            return EffortBox(-self.limit, self.limit)
-        step = self.rate * dt
-        lower = np.minimum(np.maximum(last - step, -self.limit), self.limit)
-        return EffortBox(lower, np.maximum(np.minimum(last + step, self.limit), lower))
-
-    def admit(self, effort: Array, box: EffortBox) -> tuple[Array, NDArray[np.bool_]]:
-        """The efforts that may leave, fresh, and which joints were held back, each (n,).
-
-        Raises:
-            SolveError: An effort is not finite.
-        """
-        if not np.isfinite(effort).all():
-            lost = [n for n, value in zip(self._names, effort, strict=True) if value - value != 0]
-            raise SolveError(f"effort of {', '.join(lost)} is not finite")
-        admitted = np.minimum(np.maximum(effort, box.lower), box.upper)
-        return admitted, admitted != effort
-
-
-class Command(NamedTuple):
-    """The command that is sent, and its cause.
-
-    Attributes:
-        effort: Of the controlled joints, guarded [N·m or N], shape (n,).
-        error: q - ref.q [rad or m], shape (n,).
-        s: Sliding variable [rad/s or m/s], shape (n,).
-        held_back: Joints whose effort the guard clipped, shape (n,).
-    """
-
-    effort: Array
-    error: Array
-    s: Array
-    held_back: NDArray[np.bool_]
 
 
 class ControlLoop:
@@ -163,7 +99,7 @@ class ControlLoop:
         if self.watch is not None:
             self.watch.use(controller)
 
-    def take_over(self, other: "ControlLoop") -> None:
+    def take_over(self, other: ControlLoop) -> None:
         """Continue without a bump where another loop for the same joints was at work."""
         self.weight, self.lapses, self._is_lapsed = other.weight, other.lapses, other._is_lapsed
         self.is_open, self._is_forgotten = other.is_open, other._is_forgotten
@@ -292,3 +228,69 @@ class ControlLoop:
         if len(self._memory) and self.weight == 0.0 and not self.is_frozen:
             self._memory = self._memory + dt * control.memory_rate
         return control
+
+
+class Command(NamedTuple):
+    """The command that is sent, and its cause.
+
+    Attributes:
+        effort: Of the controlled joints, guarded [N·m or N], shape (n,).
+        error: q - ref.q [rad or m], shape (n,).
+        s: Sliding variable [rad/s or m/s], shape (n,).
+        held_back: Joints whose effort the guard clipped, shape (n,).
+    """
+
+    effort: Array
+    error: Array
+    s: Array
+    held_back: NDArray[np.bool_]
+
+
+class Guard:
+    """Keeps efforts within limits of size and of rate.
+
+    Args:
+        names: Joints, for messages.
+        limit: Largest effort of each joint [N·m or N], shape (n,), inf without a limit.
+        rate: Largest change of it [N·m/s or N/s], > 0, one for all joints; inf without a limit.
+
+    Attributes:
+        rate: May change at any time.
+    """
+
+    def __init__(self, names: Sequence[str], limit: Array, rate: float = math.inf) -> None:
+        self._names, self.limit, self.rate = tuple(names), limit, rate
+
+    @property
+    def powerless(self) -> tuple[str, ...]:
+        """Joints whose limit is 0: commands to them have no effect."""
+        return tuple(n for n, limit in zip(self._names, self.limit, strict=True) if limit == 0.0)
+
+    def sized(self, effort: Array) -> Array:
+        """Efforts clipped to the limits of size, fresh, shape (n,)."""
+        return np.minimum(np.maximum(effort, -self.limit), self.limit)
+
+    def box(self, last: Array, dt: float) -> EffortBox:
+        """Efforts that may be sent now.
+
+        Args:
+            last: The efforts sent last [N·m or N], shape (n,).
+            dt: Time since then [s], >= 0.
+        """
+        if self.rate == math.inf:
+            return EffortBox(-self.limit, self.limit)
+        step = self.rate * dt
+        lower = np.minimum(np.maximum(last - step, -self.limit), self.limit)
+        return EffortBox(lower, np.maximum(np.minimum(last + step, self.limit), lower))
+
+    def admit(self, effort: Array, box: EffortBox) -> tuple[Array, NDArray[np.bool_]]:
+        """The efforts that may leave, fresh, and which joints were held back, each (n,).
+
+        Raises:
+            SolveError: An effort is not finite.
+        """
+        if not np.isfinite(effort).all():
+            lost = [n for n, value in zip(self._names, effort, strict=True) if value - value != 0]
+            raise SolveError(f"effort of {', '.join(lost)} is not finite")
+        admitted = np.minimum(np.maximum(effort, box.lower), box.upper)
+        return admitted, admitted != effort

@@ -4,6 +4,8 @@ The bounds of error and delay are those of the control law at rest, in several p
 measured period. The delay is the age of the command whose echo a measured state carries.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -38,18 +40,6 @@ _OLDEST, _RECENT = 4.0, 0.03  # times the tolerable delay, [s]: ages that are lo
 _LOST_SPEED = 2.0  # times the velocity limit: beyond, the loop counts as lost
 _PERIOD_CHANGE = 0.25  # of the period, after which the bounds are computed anew
 _PERIOD_WEIGHT = 0.1  # weight of the newest period
-
-
-class LossLimits(NamedTuple):
-    """When the loop counts as lost.
-
-    Attributes:
-        speed: Velocity of each joint [rad/s or m/s], shape (n,); inf without a limit.
-        error: Multiple of the error bound of the control law; inf: the error is only reported.
-    """
-
-    speed: Array
-    error: float
 
 
 class LoopWatch:
@@ -232,22 +222,16 @@ class LoopWatch:
             self.begin()
 
 
-def rest_responses(joints: ControlledJoints, initial: State) -> list[Response]:
-    """How the joints answer at rest: in the initial pose, and in others within their limits."""
-    system, newest = joints.system, joints.newest
-    rng, robot = np.random.default_rng(0), system.robot
-    lower = np.array([max(joint.lower, -np.pi) for joint in robot.joints])
-    upper = np.array([min(joint.upper, np.pi) for joint in robot.joints])
-    poses = [initial.q, *(rng.uniform(lower, upper) for _ in range(_REST_POSES))]
-    still, found = np.zeros(robot.model.nv), []
-    for q in poses:
-        try:
-            at_rest = system.reduce(State(initial.t, q, still))
-            found.append(joints.response(system.expand(assemble(system, at_rest))))
-        except SolveError:  # a pose that the loops cannot take
-            continue
-    joints.newest = newest
-    return found
+class LossLimits(NamedTuple):
+    """When the loop counts as lost.
+
+    Attributes:
+        speed: Velocity of each joint [rad/s or m/s], shape (n,); inf without a limit.
+        error: Multiple of the error bound of the control law; inf: the error is only reported.
+    """
+
+    speed: Array
+    error: float
 
 
 class DelayMeter:
@@ -322,3 +306,21 @@ class DelayMeter:
             return None
         around = min(misfits[best + aside], misfits[best - aside] if best >= aside else np.inf)
         return best if misfits[best] <= _DISTINCT_MISFIT * around and around > 0.0 else None
+
+
+def rest_responses(joints: ControlledJoints, initial: State) -> list[Response]:
+    """How the joints answer at rest: in the initial pose, and in others within their limits."""
+    system, newest = joints.system, joints.newest
+    rng, robot = np.random.default_rng(0), system.robot
+    lower = np.array([max(joint.lower, -np.pi) for joint in robot.joints])
+    upper = np.array([min(joint.upper, np.pi) for joint in robot.joints])
+    poses = [initial.q, *(rng.uniform(lower, upper) for _ in range(_REST_POSES))]
+    still, found = np.zeros(robot.model.nv), []
+    for q in poses:
+        try:
+            at_rest = system.reduce(State(initial.t, q, still))
+            found.append(joints.response(system.expand(assemble(system, at_rest))))
+        except SolveError:  # a pose that the loops cannot take
+            continue
+    joints.newest = newest
+    return found

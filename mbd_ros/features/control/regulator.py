@@ -10,6 +10,8 @@ Contacts that a phase holds leave efforts a room before they open or slip; the c
 keep to a small share of it.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -42,6 +44,40 @@ _AT_REST = 1.0e-3  # velocity of a plan that ends at rest, over its largest
 _HOLD_AFTER = 1.0e-3  # s, after the end of a motion until its last state is held
 _WIDEST = 10.0  # times the tolerated deviations, where the search of a tube begins
 _LEAST_EFFORT = 1.0e-6  # share of the largest effort that an input is taken to have at least
+
+
+def regulated(scene: Scene, motion: Recorded, tolerated: Tolerated) -> Regulated:
+    """The plan of a motion with gains that lead back to it.
+
+    Raises:
+        ModelError: Loops come too near to a toggle.
+        SolveError: The motion changes too fast.
+    """
+    system = _system(scene)
+    (times, states, u), can_hold = (motion, False) if scene.phases else _held(system, motion)
+    slopes = IndependentSlopes(system, states)
+    pairs = [slopes.at(y, one) for y, one in zip(states, u, strict=True)]
+    A, B = (np.stack(list(each)) for each in zip(*pairs, strict=True))
+    limits = np.concatenate([one.limits() for one in scene.actuators])
+    demands = crossings_of(scene)
+    usual = np.minimum(_usual_efforts(u, limits), tolerated_efforts(system, demands, states, u))
+    Q, R = _costs(len(slopes.chosen), usual, tolerated)
+    steady = riccati_steady(A[-1], B[-1], Q, R)
+    duration = float(times[-1] - times[0])
+    if scene.phases:
+        S = repeating_cost(times, A, B, Q, R, strike_slope(scene, times, states, u, slopes))
+    else:
+        S = riccati_backwards(times, A, B, Q, R, Q * duration if steady is None else steady)
+    gain = np.linalg.solve(R, np.swapaxes(B, 1, 2) @ S)
+    names, chosen = _names(scene), slopes.chosen
+    q, v = (np.stack([getattr(y, field)[chosen] for y in states]) for field in "qv")
+    joints = tuple(names[i] for i in chosen)
+    plan = TrackingPlan(joints, tuple(scene.actuated), times, q, v, u, gain, S)
+    rests = steady is not None and can_hold
+    given = system, states, plan, slopes, EffortBox(-limits, limits), duration * rests
+    fastest = float(np.abs(np.linalg.eigvals(A - B @ gain)).max())
+    widest = _WIDEST**2 * _unit_level(S, np.diag(Q))
+    return Regulated(plan, DisturbedMotion(*given, demands), rests, fastest, widest)
 
 
 class Recorded(NamedTuple):
@@ -82,40 +118,6 @@ class Regulated(NamedTuple):
     rests: bool
     fastest: float
     widest: float
-
-
-def regulated(scene: Scene, motion: Recorded, tolerated: Tolerated) -> Regulated:
-    """The plan of a motion with gains that lead back to it.
-
-    Raises:
-        ModelError: Loops come too near to a toggle.
-        SolveError: The motion changes too fast.
-    """
-    system = _system(scene)
-    (times, states, u), can_hold = (motion, False) if scene.phases else _held(system, motion)
-    slopes = IndependentSlopes(system, states)
-    pairs = [slopes.at(y, one) for y, one in zip(states, u, strict=True)]
-    A, B = (np.stack(list(each)) for each in zip(*pairs, strict=True))
-    limits = np.concatenate([one.limits() for one in scene.actuators])
-    demands = crossings_of(scene)
-    usual = np.minimum(_usual_efforts(u, limits), tolerated_efforts(system, demands, states, u))
-    Q, R = _costs(len(slopes.chosen), usual, tolerated)
-    steady = riccati_steady(A[-1], B[-1], Q, R)
-    duration = float(times[-1] - times[0])
-    if scene.phases:
-        S = repeating_cost(times, A, B, Q, R, strike_slope(scene, times, states, u, slopes))
-    else:
-        S = riccati_backwards(times, A, B, Q, R, Q * duration if steady is None else steady)
-    gain = np.linalg.solve(R, np.swapaxes(B, 1, 2) @ S)
-    names, chosen = _names(scene), slopes.chosen
-    q, v = (np.stack([getattr(y, field)[chosen] for y in states]) for field in "qv")
-    joints = tuple(names[i] for i in chosen)
-    plan = TrackingPlan(joints, tuple(scene.actuated), times, q, v, u, gain, S)
-    rests = steady is not None and can_hold
-    given = system, states, plan, slopes, EffortBox(-limits, limits), duration * rests
-    fastest = float(np.abs(np.linalg.eigvals(A - B @ gain)).max())
-    widest = _WIDEST**2 * _unit_level(S, np.diag(Q))
-    return Regulated(plan, DisturbedMotion(*given, demands), rests, fastest, widest)
 
 
 def _system(scene: Scene) -> Any:

@@ -4,6 +4,8 @@ The tube is a level of the cost to go, e' S e <= level. Random deviations of a l
 under the gains; the level is halved until all of them return.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any, NamedTuple
@@ -28,16 +30,46 @@ _REPEATED_MARGIN = 0.25  # the same of motions that only have to end in the tube
 _HELD = 1.0e-3  # share of the level at which a motion has returned to an end at rest
 
 
-class Outcome(NamedTuple):
-    """What a disturbed motion does.
+def tube_level(
+    disturbed: DisturbedMotion,
+    plan: TrackingPlan,
+    largest: float,
+    fastest: float,
+    *,
+    rests: bool,
+    count: int = 48,
+    seed: int = 0,
+    watched: Watched = iter,
+) -> float:
+    """A share of a cost to go from which random disturbances return, each at a random sample.
 
-    Attributes:
-        largest: Largest cost to go on its way; inf where it is lost.
-        last: Cost to go at its end.
+    Args:
+        disturbed: The motion.
+        plan: What it follows.
+        largest: Where the search begins; halved until all return.
+        fastest: Rate of the loop that steps resolve [1/s].
+        rests: Whether motions must come back to the end, which is at rest; else they must end
+            in the tube.
+        count: Number of disturbances.
+        seed: Of their random numbers.
+        watched: Passes the disturbances of a level on, for progress.
+
+    Returns:
+        The level; 0 where no disturbance returns.
     """
-
-    largest: float
-    last: float
+    rng, (n, m) = np.random.default_rng(seed), plan.cost.shape[:2]
+    at, ways = rng.integers(0, n - 1, count), rng.normal(size=(count, m))
+    level = largest
+    for _ in range(_HALVINGS):
+        for i, way in watched(zip(at.tolist(), ways, strict=True)):
+            e = way * math.sqrt(level / float(way.dot(plan.cost[i]).dot(way)))
+            found = disturbed.after(i, e, _LOST * level, fastest)
+            if not found.last <= (_HELD if rests else 1.0) * level:
+                break
+        else:
+            return (_MARGIN if rests else _REPEATED_MARGIN) * level
+        level *= 0.5
+    return 0.0
 
 
 class DisturbedMotion:
@@ -120,46 +152,16 @@ class DisturbedMotion:
         return y._replace(t=y.t + h, q=integrate(y.q, h * speed), v=v)
 
 
-def tube_level(
-    disturbed: DisturbedMotion,
-    plan: TrackingPlan,
-    largest: float,
-    fastest: float,
-    *,
-    rests: bool,
-    count: int = 48,
-    seed: int = 0,
-    watched: Watched = iter,
-) -> float:
-    """A share of a cost to go from which random disturbances return, each at a random sample.
+class Outcome(NamedTuple):
+    """What a disturbed motion does.
 
-    Args:
-        disturbed: The motion.
-        plan: What it follows.
-        largest: Where the search begins; halved until all return.
-        fastest: Rate of the loop that steps resolve [1/s].
-        rests: Whether motions must come back to the end, which is at rest; else they must end
-            in the tube.
-        count: Number of disturbances.
-        seed: Of their random numbers.
-        watched: Passes the disturbances of a level on, for progress.
-
-    Returns:
-        The level; 0 where no disturbance returns.
+    Attributes:
+        largest: Largest cost to go on its way; inf where it is lost.
+        last: Cost to go at its end.
     """
-    rng, (n, m) = np.random.default_rng(seed), plan.cost.shape[:2]
-    at, ways = rng.integers(0, n - 1, count), rng.normal(size=(count, m))
-    level = largest
-    for _ in range(_HALVINGS):
-        for i, way in watched(zip(at.tolist(), ways, strict=True)):
-            e = way * math.sqrt(level / float(way.dot(plan.cost[i]).dot(way)))
-            found = disturbed.after(i, e, _LOST * level, fastest)
-            if not found.last <= (_HELD if rests else 1.0) * level:
-                break
-        else:
-            return (_MARGIN if rests else _REPEATED_MARGIN) * level
-        level *= 0.5
-    return 0.0
+
+    largest: float
+    last: float
 
 
 def held_room(system: Any, crossings: Sequence[Crossing], y: State, u: Array) -> Array:

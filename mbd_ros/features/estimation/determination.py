@@ -7,6 +7,8 @@ Source: C. Gosselin, J. Angeles, IEEE Trans. Robotics Automation 6(3) (1990), on
 singularities.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -21,23 +23,6 @@ _SAMPLES = 8  # of the path that is looked at
 _HALVINGS = 10
 _PAIR = 2  # rows of a planar loop
 _BLIND = 1.0e12  # of amplifications that are shown
-
-
-class Determination(NamedTuple):
-    """How well what is measured determines the rest.
-
-    Attributes:
-        amplification: Largest change of a coordinate that is not measured, by a change of length
-            one of those that are.
-        of_multipliers: Condition number of the rows by what is not measured: the factor by which
-            errors of forces grow.
-        time: Until a singular configuration on the way that the mechanism goes [s]; inf without
-            one within the time that is looked ahead.
-    """
-
-    amplification: float
-    of_multipliers: float
-    time: float
 
 
 class Determinations:
@@ -150,3 +135,20 @@ def _moves(system: System, x: State, v: int) -> NDArray[np.bool_]:
     for i, unit in enumerate(np.eye(system.nv)):
         found[i] = system.expand(y._replace(v=unit)).v[v] != 0.0
     return found
+
+
+class Determination(NamedTuple):
+    """How well what is measured determines the rest.
+
+    Attributes:
+        amplification: Largest change of a coordinate that is not measured, by a change of length
+            one of those that are.
+        of_multipliers: Condition number of the rows by what is not measured: the factor by which
+            errors of forces grow.
+        time: Until a singular configuration on the way that the mechanism goes [s]; inf without
+            one within the time that is looked ahead.
+    """
+
+    amplification: float
+    of_multipliers: float
+    time: float

@@ -12,6 +12,8 @@ over the last samples is near 0 for what is the case, near 1 for what explains n
 are those of a right model, and `Cusum` which residuals are off for long.
 """
 
+from __future__ import annotations
+
 import math
 from collections import deque
 from collections.abc import Mapping
@@ -30,23 +32,6 @@ _LAG, _DELAYS = 0.1, 8  # longest delay, as a share of the window; how many are 
 _PAUSE = 0.05  # share of the window between two comparisons
 _FILLED = 0.9  # share of the window that samples must cover
 _BETTER = 0.7  # times the share of the second best that a named one has at most
-
-
-class Named(NamedTuple):
-    """What explains the efforts that are lacking.
-
-    Attributes:
-        name: Of the hypothesis; empty where none does, or several do.
-        shares: Hypothesis -> what it leaves unexplained.
-        size: Root mean square of the lacking efforts over what can be told from noise.
-    """
-
-    name: str
-    shares: Mapping[str, float]
-    size: float
-
-
-_NOTHING = Named("", {}, 0.0)
 _MEMORY_FIELDS = (
     *("_t", "_heard", "_counted", "_value", "_stood", "_pushed", "_peak", "_error"),
     *("_is_frozen", "_is_out", "_came"),
@@ -83,7 +68,7 @@ class FaultNaming:
     def forget(self) -> None:
         """Begin anew."""
         self._samples = deque[_Sample]()
-        self._looked, self._newest = -math.inf, _NOTHING
+        self._looked, self._newest = -math.inf, Named("", {}, 0.0)
 
     def add(self, x: State, u: Array | None, lacking: Array, deviation: Array) -> None:
         """Take a sample.
@@ -112,7 +97,7 @@ class FaultNaming:
         """What explains the last samples best; looked for anew a few times a window."""
         samples = self._samples
         if len(samples) < 2 or samples[-1].t - samples[0].t < _FILLED * self._window:
-            return _NOTHING
+            return Named("", {}, 0.0)
         if samples[-1].t - self._looked >= _PAUSE * self._window:
             self._looked, self._newest = samples[-1].t, self._compared()
         return self._newest
@@ -136,6 +121,20 @@ class _Sample(NamedTuple):
     t: float
     lacking: Array
     expected: Array
+    size: float
+
+
+class Named(NamedTuple):
+    """What explains the efforts that are lacking.
+
+    Attributes:
+        name: Of the hypothesis; empty where none does, or several do.
+        shares: Hypothesis -> what it leaves unexplained.
+        size: Root mean square of the lacking efforts over what can be told from noise.
+    """
+
+    name: str
+    shares: Mapping[str, float]
     size: float
 
 
@@ -265,38 +264,6 @@ class SensorFaults:
             setattr(self, name, value)
 
 
-class Consistency(NamedTuple):
-    """What the innovations of the newest samples say.
-
-    Attributes:
-        nis: Mean of the normalised innovation squared a number; 1 for a right model.
-        nis_band: Where it should be.
-        correlation: Of a sample with the one before; 0 for a right model.
-        correlation_band: How far it may be from 0.
-        numbers: How many numbers that is.
-    """
-
-    nis: float
-    nis_band: tuple[float, float]
-    correlation: float
-    correlation_band: float
-    numbers: int
-
-    @property
-    def fault(self) -> str:
-        """What is wrong, empty where nothing is."""
-        if self.numbers < _FEWEST_NUMBERS:
-            return ""
-        low, high = self.nis_band
-        if self.nis > high:
-            return f"innovations are larger than their covariance says: {self.nis:.3g} times"
-        if self.nis < low:
-            return f"innovations are smaller than their covariance says: {self.nis:.3g} times"
-        if abs(self.correlation) > self.correlation_band:
-            return f"innovations are not white: correlation {self.correlation:.3g}"
-        return ""
-
-
 class InnovationWatch:
     """Whether the newest innovations are those of a right model: their size, and whiteness.
 
@@ -349,6 +316,38 @@ class InnovationWatch:
         band = self.band / math.sqrt(max(pairs, 1.0))
         nis = max(square, 0.0) / numbers
         return Consistency(nis, (1.0 - half, 1.0 + half), correlation, band, round(count))
+
+
+class Consistency(NamedTuple):
+    """What the innovations of the newest samples say.
+
+    Attributes:
+        nis: Mean of the normalised innovation squared a number; 1 for a right model.
+        nis_band: Where it should be.
+        correlation: Of a sample with the one before; 0 for a right model.
+        correlation_band: How far it may be from 0.
+        numbers: How many numbers that is.
+    """
+
+    nis: float
+    nis_band: tuple[float, float]
+    correlation: float
+    correlation_band: float
+    numbers: int
+
+    @property
+    def fault(self) -> str:
+        """What is wrong, empty where nothing is."""
+        if self.numbers < _FEWEST_NUMBERS:
+            return ""
+        low, high = self.nis_band
+        if self.nis > high:
+            return f"innovations are larger than their covariance says: {self.nis:.3g} times"
+        if self.nis < low:
+            return f"innovations are smaller than their covariance says: {self.nis:.3g} times"
+        if abs(self.correlation) > self.correlation_band:
+            return f"innovations are not white: correlation {self.correlation:.3g}"
+        return ""
 
 
 class Cusum:

@@ -3,6 +3,8 @@
 Numbers of loads, offsets of sensors, masses and payloads have the rate 0, and noise.
 """
 
+from __future__ import annotations
+
 import inspect
 import math
 import typing
@@ -28,73 +30,6 @@ from mbd_ros.scene.variants import places_of
 _CACHED_LOADS = 16  # of other numbers
 MASS, PAYLOAD, OFFSET = "mass", "payload", "offset"
 _LEAST_MASS = 1.0e-3  # of the mass of a link, below which it is not estimated to be
-
-
-class UnknownNumber(Load):
-    """Numbers that act by what reads them: offsets of sensors, inertias.
-
-    Args:
-        owner: Name of what they belong to.
-        internal: The numbers, by their arguments.
-        nv: Size of the velocity of the robot.
-    """
-
-    def __init__(self, owner: str, internal: Sequence[Internal], nv: int) -> None:
-        self.name, self.internal = owner, tuple(internal)
-        self._none, self._still = np.zeros(nv), np.zeros(len(self.internal))
-
-    def force(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Nothing, shape (nv,), not to be written to."""
-        return self._none
-
-    def constant_slopes(self, nv: int, nz: int) -> Array:
-        """Nothing, shape (nv, 2 nv + nz)."""
-        return np.zeros((nv, 2 * nv + nz))
-
-    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
-        """Nothing, shape (len(internal),)."""
-        return self._still
-
-
-class UnknownMass(NamedTuple):
-    """A mass whose number is an internal state.
-
-    Attributes:
-        part: Its internal state.
-        joint: Index of the joint that carries it.
-        first: Its value in the model [kg].
-        unit: Ten numbers of 1 kg of it, in the axes of the joint, shape (10,).
-    """
-
-    part: UnknownNumber
-    joint: int
-    first: float
-    unit: Array
-
-
-@dataclass
-class Unknowns:
-    """A scene whose numbers are internal states.
-
-    Attributes:
-        source: The scene as it is read.
-        scene: With what holds them.
-        sensors: With their offsets.
-        masses: Those that stand in the model of its robot.
-        deviations: Internal state -> deviation at the start.
-    """
-
-    source: Scene
-    scene: Scene
-    sensors: list[Sensor]
-    masses: list[UnknownMass] = field(default_factory=list)
-    deviations: dict[str, float] = field(default_factory=dict)
-
-    def hold(self, part: UnknownNumber, deviation: float) -> None:
-        """Add what holds numbers."""
-        forces = self.scene.parts.get("forces", ())
-        self.scene = self.scene.holding(forces=(*forces, part))
-        self.deviations |= {f"{part.name}.{one.name}": deviation for one in part.internal}
 
 
 def with_unknowns(
@@ -131,6 +66,73 @@ def with_unknowns(
         else:
             _add_mass(found, owner, argument, deviation)
     return found
+
+
+@dataclass
+class Unknowns:
+    """A scene whose numbers are internal states.
+
+    Attributes:
+        source: The scene as it is read.
+        scene: With what holds them.
+        sensors: With their offsets.
+        masses: Those that stand in the model of its robot.
+        deviations: Internal state -> deviation at the start.
+    """
+
+    source: Scene
+    scene: Scene
+    sensors: list[Sensor]
+    masses: list[UnknownMass] = field(default_factory=list)
+    deviations: dict[str, float] = field(default_factory=dict)
+
+    def hold(self, part: UnknownNumber, deviation: float) -> None:
+        """Add what holds numbers."""
+        forces = self.scene.parts.get("forces", ())
+        self.scene = self.scene.holding(forces=(*forces, part))
+        self.deviations |= {f"{part.name}.{one.name}": deviation for one in part.internal}
+
+
+class UnknownMass(NamedTuple):
+    """A mass whose number is an internal state.
+
+    Attributes:
+        part: Its internal state.
+        joint: Index of the joint that carries it.
+        first: Its value in the model [kg].
+        unit: Ten numbers of 1 kg of it, in the axes of the joint, shape (10,).
+    """
+
+    part: UnknownNumber
+    joint: int
+    first: float
+    unit: Array
+
+
+class UnknownNumber(Load):
+    """Numbers that act by what reads them: offsets of sensors, inertias.
+
+    Args:
+        owner: Name of what they belong to.
+        internal: The numbers, by their arguments.
+        nv: Size of the velocity of the robot.
+    """
+
+    def __init__(self, owner: str, internal: Sequence[Internal], nv: int) -> None:
+        self.name, self.internal = owner, tuple(internal)
+        self._none, self._still = np.zeros(nv), np.zeros(len(self.internal))
+
+    def force(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Nothing, shape (nv,), not to be written to."""
+        return self._none
+
+    def constant_slopes(self, nv: int, nz: int) -> Array:
+        """Nothing, shape (nv, 2 nv + nz)."""
+        return np.zeros((nv, 2 * nv + nz))
+
+    def rates(self, k: Kinematics, x: State, u: Array) -> Array:
+        """Nothing, shape (len(internal),)."""
+        return self._still
 
 
 def _add_load(
@@ -190,49 +192,6 @@ def _maker(
     return make, first, bounds
 
 
-def _add_offset(found: Unknowns, owner: str, deviation: float) -> None:
-    at = next(i for i, sensor in enumerate(found.sensors) if sensor.name == owner)
-    sensor = found.sensors[at]
-    units = sensor.unit or ""
-    names = [f"{OFFSET}_{one}".rstrip("_") for one in sensor.components]
-    part = UnknownNumber(
-        owner,
-        [Internal(name, units, initial=0.0, is_constant=True) for name in names],
-        int(found.scene.robot.model.nv),
-    )
-    found.hold(part, deviation)
-    found.sensors[at] = OffsetSensor(sensor, part)
-
-
-def _add_mass(found: Unknowns, owner: str, argument: str, deviation: float) -> None:
-    scene = found.scene
-    links = scene.robot.inertias()
-    known = list(links) if argument == MASS else [f.name for f in scene.robot.model.frames]
-    if owner not in known:
-        raise ModelError(_unknown(f"{owner}.{argument}", owner, known))
-    if not found.masses:
-        own = replace(scene.robot, model=scene.robot.model.copy())
-        found.scene = scene = replace(scene, robot=own)
-    frame = scene.robot.model.frames[scene.robot.frame(owner)]
-    if not int(frame.parentJoint):
-        raise ModelError(f"{owner}.{argument}: nothing moves '{owner}'")
-    first, lower, inertia = 0.0, 0.0, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
-    if argument == MASS:
-        first = float(links[owner].mass)
-        if first <= 0.0:
-            raise ModelError(f"{owner}.{MASS} is 0; accepted: {owner}.{PAYLOAD}, at its origin")
-        lower, link = _LEAST_MASS * first, links[owner]
-        inertia = pin.Inertia(1.0, link.lever, link.inertia / first)
-    unit = np.array(frame.placement.act(inertia).toDynamicParameters())
-    part = UnknownNumber(
-        owner,
-        [Internal(argument, "kg", lower, math.inf, first, is_constant=True)],
-        int(scene.robot.model.nv),
-    )
-    found.hold(part, deviation)
-    found.masses.append(UnknownMass(part, int(frame.parentJoint), first, unit))
-
-
 class UncertainLoad(Load):
     """A load with numbers that are estimated; internal states of its own come first.
 
@@ -287,6 +246,20 @@ class UncertainLoad(Load):
         return found
 
 
+def _add_offset(found: Unknowns, owner: str, deviation: float) -> None:
+    at = next(i for i, sensor in enumerate(found.sensors) if sensor.name == owner)
+    sensor = found.sensors[at]
+    units = sensor.unit or ""
+    names = [f"{OFFSET}_{one}".rstrip("_") for one in sensor.components]
+    part = UnknownNumber(
+        owner,
+        [Internal(name, units, initial=0.0, is_constant=True) for name in names],
+        int(found.scene.robot.model.nv),
+    )
+    found.hold(part, deviation)
+    found.sensors[at] = OffsetSensor(sensor, part)
+
+
 class OffsetSensor(Sensor):
     """A sensor whose offset is estimated.
 
@@ -323,6 +296,35 @@ class OffsetSensor(Sensor):
     def covariance(self, k: Kinematics, x: State) -> Array:
         """As that of the sensor."""
         return self.inner.covariance(k, x)
+
+
+def _add_mass(found: Unknowns, owner: str, argument: str, deviation: float) -> None:
+    scene = found.scene
+    links = scene.robot.inertias()
+    known = list(links) if argument == MASS else [f.name for f in scene.robot.model.frames]
+    if owner not in known:
+        raise ModelError(_unknown(f"{owner}.{argument}", owner, known))
+    if not found.masses:
+        own = replace(scene.robot, model=scene.robot.model.copy())
+        found.scene = scene = replace(scene, robot=own)
+    frame = scene.robot.model.frames[scene.robot.frame(owner)]
+    if not int(frame.parentJoint):
+        raise ModelError(f"{owner}.{argument}: nothing moves '{owner}'")
+    first, lower, inertia = 0.0, 0.0, pin.Inertia(1.0, np.zeros(3), np.zeros((3, 3)))
+    if argument == MASS:
+        first = float(links[owner].mass)
+        if first <= 0.0:
+            raise ModelError(f"{owner}.{MASS} is 0; accepted: {owner}.{PAYLOAD}, at its origin")
+        lower, link = _LEAST_MASS * first, links[owner]
+        inertia = pin.Inertia(1.0, link.lever, link.inertia / first)
+    unit = np.array(frame.placement.act(inertia).toDynamicParameters())
+    part = UnknownNumber(
+        owner,
+        [Internal(argument, "kg", lower, math.inf, first, is_constant=True)],
+        int(scene.robot.model.nv),
+    )
+    found.hold(part, deviation)
+    found.masses.append(UnknownMass(part, int(frame.parentJoint), first, unit))
 
 
 class UnknownInertias:

@@ -1,5 +1,7 @@
 """Which starts lead to a gait, and which fall."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -22,20 +24,6 @@ from mbd_ros.scene.reader import load_scene
 FELL, UNDECIDED, NOT_PLACED = 0, -1, -2
 _TASKS_A_WORKER = 8
 _LONGEST_CYCLE = 5.0  # periods within which a cycle ends
-
-
-class Outcome(NamedTuple):
-    """What became of a start.
-
-    Attributes:
-        start: Values of joints.
-        number: Of the gait, from 1 on, or one of `FELL`, `UNDECIDED`, `NOT_PLACED`.
-        cycles: Cycles until that was known.
-    """
-
-    start: Start
-    number: int
-    cycles: int
 
 
 def basin_of(
@@ -77,6 +65,20 @@ def basin_of(
         pairs = zip(task.argument["starts"], done[task.name].value, strict=True)
         outcomes += [Outcome(start, *each) for start, each in pairs]
     return outcomes
+
+
+class Outcome(NamedTuple):
+    """What became of a start.
+
+    Attributes:
+        start: Values of joints.
+        number: Of the gait, from 1 on, or one of `FELL`, `UNDECIDED`, `NOT_PLACED`.
+        cycles: Cycles until that was known.
+    """
+
+    start: Start
+    number: int
+    cycles: int
 
 
 def _order(family: SceneFamily, gaits: Sequence[Gait], asked: BasinTask) -> dict[str, Any]:

@@ -4,6 +4,8 @@ Folds, period doublings and torus bifurcations are located where their test func
 from a doubling the branch of twice the period is followed, too.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -31,6 +33,8 @@ from mbd_ros.scene.variants import found_place, places_of
 
 DOUBLING, FOLD, TORUS = "period doubling", "fold", "torus bifurcation"
 Family = Callable[[float], ReturnMap]
+
+
 """The return map at a value of the parameter."""
 
 
@@ -41,124 +45,6 @@ _GAIN = 0.5  # of a correction, below which derivatives are computed anew
 _LOCATED = 1.0e-9  # of a step: where a test function is zero
 _TRIES, _APART, _ASIDE = 6, 1.0e-5, 2.0e-3  # of the state: first step onto a doubled branch
 _ROUNDING = 1.0e-9  # of the range: a value that a scene states by sine and cosine
-
-
-class BranchPoint(NamedTuple):
-    """A periodic motion at one value of a parameter.
-
-    Attributes:
-        parameter: The value.
-        tangent: Direction of the branch: of the state before the event of the section, then of
-            the parameter in units of its range; of length one, shape (n + 1,).
-        slopes: Derivative of the residual by the same, shape (n, n + 1).
-        mark: What happens there; empty for an ordinary point.
-    """
-
-    parameter: float
-    motion: PeriodicMotion
-    tangent: Array
-    slopes: Array
-    mark: str = ""
-
-
-class Branch(NamedTuple):
-    """Periodic motions along a parameter.
-
-    Attributes:
-        points: In the order of the branch.
-        cycles: Cycles after which they repeat.
-        ended: Why it ends.
-    """
-
-    points: tuple[BranchPoint, ...]
-    cycles: int
-    ended: str
-
-    @property
-    def marks(self) -> tuple[BranchPoint, ...]:
-        """The points at which something happens."""
-        return tuple(point for point in self.points if point.mark)
-
-
-class NamedBranch(NamedTuple):
-    """A branch and its origin.
-
-    Attributes:
-        gait: Number of the gait from which it comes, from 1 on.
-        of: What it is, for people.
-    """
-
-    branch: Branch
-    gait: int
-    of: str
-
-
-def branches_of(
-    family: SceneFamily, gait: Gait, number: int, asked: ContinuationTask, say: Say
-) -> Iterator[NamedBranch]:
-    """The branch through a gait, and those of twice the period that leave it.
-
-    Args:
-        family: The return maps along the parameter.
-        gait: Where it begins.
-        number: Of the gait, from 1 on.
-        asked: What is asked.
-        say: Is told what happens on the way.
-
-    Raises:
-        SceneError: The scene's own value of the parameter is outside the range.
-    """
-    value = own_value(family, asked)
-    maps = family.of(gait.section, gait.travel)
-    along = Continuation(maps, asked.low, asked.high, asked.points)
-    cycles = family.task.cycles
-    up = along.branch(gait.motion, value, 1, cycles)
-    down = along.branch(gait.motion, value, -1, cycles)
-    points = (*reversed(down.points[1:]), *up.points)
-    whole = Branch(points, cycles, " and ".join(dict.fromkeys((down.ended, up.ended))))
-    waiting = [(NamedBranch(whole, number, f"gait {number}"), 0)]
-    while waiting:
-        named, level = waiting.pop(0)
-        yield named
-        for mark in named.branch.marks:
-            if mark.mark != DOUBLING or level >= asked.doublings:
-                continue
-            try:
-                doubled = along.doubled(mark, named.branch.cycles)
-            except SolveError as error:
-                say(f"{named.of}: {error}")
-                continue
-            of = f"{named.of}, doubled at {mark.parameter:.9g}"
-            waiting.append((NamedBranch(doubled, number, of), level + 1))
-
-
-def own_value(family: SceneFamily, asked: ContinuationTask) -> float:
-    """The value of the parameter in the scene as it is.
-
-    Raises:
-        SceneError: It is not one number, or outside the range.
-    """
-    value = family.value()
-    where = f"{family.task.source or family.scene.name}: gait.continuation"
-    if value is None:
-        scene = family.scene
-        place, path = found_place(Origin(title=where), places_of(scene), asked.parameter)
-        inner = scene.entries[place.section]
-        for key in (*([] if place.at is None else [place.at]), *path):
-            inner = inner.get(key) if isinstance(inner, dict) else inner[key]
-        if type(inner) not in (int, float):
-            raise SceneError(
-                f"{where}.parameter: {asked.parameter} is {inner!r} in the scene, accepted: a "
-                "number that it states"
-            )
-        value = float(inner)
-    slack = _ROUNDING * (asked.high - asked.low)
-    if not asked.low - slack <= value <= asked.high + slack:
-        raise SceneError(
-            f"{where}: {asked.parameter} is {value:.9g} in the scene, outside {asked.low:g} .. "
-            f"{asked.high:g}: the branch begins with the scene"
-        )
-    return min(max(value, asked.low), asked.high)
 
 
 @dataclass(frozen=True)
@@ -378,6 +264,43 @@ class Continuation:
         return np.column_stack((derivative - np.eye(len(derivative)), by_parameter)), derivative
 
 
+class BranchPoint(NamedTuple):
+    """A periodic motion at one value of a parameter.
+
+    Attributes:
+        parameter: The value.
+        tangent: Direction of the branch: of the state before the event of the section, then of
+            the parameter in units of its range; of length one, shape (n + 1,).
+        slopes: Derivative of the residual by the same, shape (n, n + 1).
+        mark: What happens there; empty for an ordinary point.
+    """
+
+    parameter: float
+    motion: PeriodicMotion
+    tangent: Array
+    slopes: Array
+    mark: str = ""
+
+
+class Branch(NamedTuple):
+    """Periodic motions along a parameter.
+
+    Attributes:
+        points: In the order of the branch.
+        cycles: Cycles after which they repeat.
+        ended: Why it ends.
+    """
+
+    points: tuple[BranchPoint, ...]
+    cycles: int
+    ended: str
+
+    @property
+    def marks(self) -> tuple[BranchPoint, ...]:
+        """The points at which something happens."""
+        return tuple(point for point in self.points if point.mark)
+
+
 def changes(one: BranchPoint, other: BranchPoint) -> Iterator[str]:
     """What happens between two points of a branch: folds, doublings, tori."""
     for mark in (FOLD, DOUBLING, TORUS):
@@ -412,6 +335,87 @@ def _tangent(slopes: Array, like: Array) -> Array:
     """The direction that the slopes leave free, on the side of another one."""
     direction: Array = np.linalg.svd(slopes)[2][-1]
     return direction if direction.dot(like) >= 0.0 else -direction
+
+
+def branches_of(
+    family: SceneFamily, gait: Gait, number: int, asked: ContinuationTask, say: Say
+) -> Iterator[NamedBranch]:
+    """The branch through a gait, and those of twice the period that leave it.
+
+    Args:
+        family: The return maps along the parameter.
+        gait: Where it begins.
+        number: Of the gait, from 1 on.
+        asked: What is asked.
+        say: Is told what happens on the way.
+
+    Raises:
+        SceneError: The scene's own value of the parameter is outside the range.
+    """
+    value = own_value(family, asked)
+    maps = family.of(gait.section, gait.travel)
+    along = Continuation(maps, asked.low, asked.high, asked.points)
+    cycles = family.task.cycles
+    up = along.branch(gait.motion, value, 1, cycles)
+    down = along.branch(gait.motion, value, -1, cycles)
+    points = (*reversed(down.points[1:]), *up.points)
+    whole = Branch(points, cycles, " and ".join(dict.fromkeys((down.ended, up.ended))))
+    waiting = [(NamedBranch(whole, number, f"gait {number}"), 0)]
+    while waiting:
+        named, level = waiting.pop(0)
+        yield named
+        for mark in named.branch.marks:
+            if mark.mark != DOUBLING or level >= asked.doublings:
+                continue
+            try:
+                doubled = along.doubled(mark, named.branch.cycles)
+            except SolveError as error:
+                say(f"{named.of}: {error}")
+                continue
+            of = f"{named.of}, doubled at {mark.parameter:.9g}"
+            waiting.append((NamedBranch(doubled, number, of), level + 1))
+
+
+class NamedBranch(NamedTuple):
+    """A branch and its origin.
+
+    Attributes:
+        gait: Number of the gait from which it comes, from 1 on.
+        of: What it is, for people.
+    """
+
+    branch: Branch
+    gait: int
+    of: str
+
+
+def own_value(family: SceneFamily, asked: ContinuationTask) -> float:
+    """The value of the parameter in the scene as it is.
+
+    Raises:
+        SceneError: It is not one number, or outside the range.
+    """
+    value = family.value()
+    where = f"{family.task.source or family.scene.name}: gait.continuation"
+    if value is None:
+        scene = family.scene
+        place, path = found_place(Origin(title=where), places_of(scene), asked.parameter)
+        inner = scene.entries[place.section]
+        for key in (*([] if place.at is None else [place.at]), *path):
+            inner = inner.get(key) if isinstance(inner, dict) else inner[key]
+        if type(inner) not in (int, float):
+            raise SceneError(
+                f"{where}.parameter: {asked.parameter} is {inner!r} in the scene, accepted: a "
+                "number that it states"
+            )
+        value = float(inner)
+    slack = _ROUNDING * (asked.high - asked.low)
+    if not asked.low - slack <= value <= asked.high + slack:
+        raise SceneError(
+            f"{where}: {asked.parameter} is {value:.9g} in the scene, outside {asked.low:g} .. "
+            f"{asked.high:g}: the branch begins with the scene"
+        )
+    return min(max(value, asked.low), asked.high)
 
 
 def branch_lines(named: NamedBranch, parameter: str) -> Iterator[str]:

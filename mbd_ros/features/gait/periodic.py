@@ -5,6 +5,8 @@ moved back along what travels. A gait is its fixed point, P(y) = y; the eigenval
 Floquet multipliers, say whether it is stable.
 """
 
+from __future__ import annotations
+
 from typing import NamedTuple
 
 import numpy as np
@@ -27,120 +29,6 @@ _ACCEPTED = 1.0e-9  # the same: enough where steps gain no more
 _MOST_STEPS = 40  # of Newton's method
 _SHORTEST = 1.0e-3  # factor of a Newton step
 _STRIDES = 60  # of the motion itself, where Newton's method finds no way
-
-
-class Passage(NamedTuple):
-    """One way through the return map.
-
-    Attributes:
-        start: Segment that ends with the event of the section: its end is where the map begins.
-        segments: The motion from there, over all cycles, up to the same event.
-        back: Its end, moved back along the travel.
-        residual: Tangent from the begin to `back`, shape (n,).
-    """
-
-    start: Segment
-    segments: tuple[Segment, ...]
-    back: State
-    residual: Array
-
-    @property
-    def begin(self) -> State:
-        """State just before the event of the section, where the map begins."""
-        return self.start.end
-
-    @property
-    def period(self) -> float:
-        """Time of the motion [s]."""
-        return self.segments[-1].end.t - self.segments[0].begin.t
-
-
-class ReturnMap:
-    """State before an event of a cycle -> state before the same event, cycles later.
-
-    States before the event are on its guard, and the reset brings what is free after it: a guess
-    that is off stays a state from which the gait can go on.
-
-    Args:
-        flow: Motions with events.
-        section: Segment that ends with the event of the section.
-        travel: Along which the motion may begin anywhere.
-        cycles: Cycles of the flow that count as one; 2 for motions that repeat every other one.
-    """
-
-    def __init__(
-        self, flow: HybridFlow, section: Segment, travel: Travel, cycles: int = 1
-    ) -> None:
-        self.flow, self.section, self.travel, self.cycles = flow, section, travel, cycles
-
-    def repeated(self, cycles: int) -> "ReturnMap":
-        """The same map with another number of cycles."""
-        return ReturnMap(self.flow, self.section, self.travel, cycles)
-
-    def passage(self, y: State) -> Passage:
-        """The way through the map from a state near the guard of the section.
-
-        Raises:
-            FallError: The motion does not come back.
-        """
-        flow = self.flow
-        y = flow.onto(y._replace(t=self.section.end.t))
-        y = landed(flow, self.section, y, flow.rate(y))
-        x = flow.reset(self.section, y)
-        start, segments = self.section._replace(end=y, after=x), list[Segment]()
-        for _ in range(self.cycles):
-            segments += flow.cycle(x)
-            x = segments[-1].after
-        back = self.travel.back(flow, segments[-1].end, y)
-        return Passage(start, tuple(segments), back, flow.minus(back, y))
-
-    def derivative(self, passage: Passage) -> Array:
-        """Derivative of where a passage ends by where it begins, shape (n, n).
-
-        Transitions of smooth segments and saltation matrices of events, ended by the landing on
-        the guard; what travels away is taken out.
-
-        Raises:
-            SolveError: The motion grazes a guard.
-        """
-        flow, segments = self.flow, passage.segments
-        moved, late = section_reset(flow, passage.start), np.zeros(flow.size)
-        for segment in segments[:-1]:
-            moved, delays = through(flow, segment, transition(flow, segment).dot(moved), late)
-            late = delays if flow.ends_phase(segment) else late
-        last = segments[-1]
-        moved = landing(flow, last, transition(flow, last).dot(moved), late)
-        found: Array = self.travel.without(last.end, flow.size).dot(moved)
-        return found
-
-
-class PeriodicMotion(NamedTuple):
-    """A motion that comes back to itself, up to its travel.
-
-    Attributes:
-        passage: One way through the return map.
-        derivative: Of the map, shape (n, n).
-        multipliers: Floquet multipliers, the largest first, shape (n,), complex.
-    """
-
-    passage: Passage
-    derivative: Array
-    multipliers: Array
-
-    @property
-    def state(self) -> State:
-        """The state just after the event of the section."""
-        return self.passage.start.after
-
-    @property
-    def residual(self) -> float:
-        """Largest entry of what is left of the return map [units of the state]."""
-        return float(np.abs(self.passage.residual).max())
-
-    @property
-    def is_stable(self) -> bool:
-        """Whether small disturbances decay."""
-        return bool(abs(self.multipliers[0]) < 1.0)
 
 
 def periodic_motion(way: ReturnMap, y: State) -> PeriodicMotion:
@@ -172,6 +60,72 @@ def periodic_motion(way: ReturnMap, y: State) -> PeriodicMotion:
             return newton(way, passage)
         except SolveError:
             raise first from None
+
+
+class PeriodicMotion(NamedTuple):
+    """A motion that comes back to itself, up to its travel.
+
+    Attributes:
+        passage: One way through the return map.
+        derivative: Of the map, shape (n, n).
+        multipliers: Floquet multipliers, the largest first, shape (n,), complex.
+    """
+
+    passage: Passage
+    derivative: Array
+    multipliers: Array
+
+    @property
+    def state(self) -> State:
+        """The state just after the event of the section."""
+        return self.passage.start.after
+
+    @property
+    def residual(self) -> float:
+        """Largest entry of what is left of the return map [units of the state]."""
+        return float(np.abs(self.passage.residual).max())
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether small disturbances decay."""
+        return bool(abs(self.multipliers[0]) < 1.0)
+
+
+class Passage(NamedTuple):
+    """One way through the return map.
+
+    Attributes:
+        start: Segment that ends with the event of the section: its end is where the map begins.
+        segments: The motion from there, over all cycles, up to the same event.
+        back: Its end, moved back along the travel.
+        residual: Tangent from the begin to `back`, shape (n,).
+    """
+
+    start: Segment
+    segments: tuple[Segment, ...]
+    back: State
+    residual: Array
+
+    @property
+    def begin(self) -> State:
+        """State just before the event of the section, where the map begins."""
+        return self.start.end
+
+    @property
+    def period(self) -> float:
+        """Time of the motion [s]."""
+        return self.segments[-1].end.t - self.segments[0].begin.t
+
+
+def _size(passage: Passage) -> float:
+    return float(np.abs(passage.residual).max())
+
+
+def _scale(passage: Passage) -> float:
+    """One, or the size of velocities and states of parts where these are larger."""
+    y = passage.begin
+    sizes = (np.abs(values).max(initial=0.0) for values in (y.v, y.z))
+    return 1.0 + float(max(sizes))
 
 
 def newton(way: ReturnMap, passage: Passage) -> PeriodicMotion:
@@ -214,20 +168,9 @@ def _shorter(way: ReturnMap, passage: Passage, step: Array) -> Passage | None:
     return None
 
 
-def _size(passage: Passage) -> float:
-    return float(np.abs(passage.residual).max())
-
-
 def is_closed(passage: Passage) -> bool:
     """Whether the motion comes back to within rounding."""
     return _size(passage) <= _CLOSED * _scale(passage)
-
-
-def _scale(passage: Passage) -> float:
-    """One, or the size of velocities and states of parts where these are larger."""
-    y = passage.begin
-    sizes = (np.abs(values).max(initial=0.0) for values in (y.v, y.z))
-    return 1.0 + float(max(sizes))
 
 
 def is_accepted(passage: Passage) -> bool:
@@ -254,3 +197,62 @@ def multipliers(derivative: Array) -> Array:
     found[:rank] = np.linalg.eigvals(on_range)
     order = sorted(found, key=lambda m: (-round(abs(m), 12), -m.real, -m.imag))
     return np.array(order)
+
+
+class ReturnMap:
+    """State before an event of a cycle -> state before the same event, cycles later.
+
+    States before the event are on its guard, and the reset brings what is free after it: a guess
+    that is off stays a state from which the gait can go on.
+
+    Args:
+        flow: Motions with events.
+        section: Segment that ends with the event of the section.
+        travel: Along which the motion may begin anywhere.
+        cycles: Cycles of the flow that count as one; 2 for motions that repeat every other one.
+    """
+
+    def __init__(
+        self, flow: HybridFlow, section: Segment, travel: Travel, cycles: int = 1
+    ) -> None:
+        self.flow, self.section, self.travel, self.cycles = flow, section, travel, cycles
+
+    def repeated(self, cycles: int) -> ReturnMap:
+        """The same map with another number of cycles."""
+        return ReturnMap(self.flow, self.section, self.travel, cycles)
+
+    def passage(self, y: State) -> Passage:
+        """The way through the map from a state near the guard of the section.
+
+        Raises:
+            FallError: The motion does not come back.
+        """
+        flow = self.flow
+        y = flow.onto(y._replace(t=self.section.end.t))
+        y = landed(flow, self.section, y, flow.rate(y))
+        x = flow.reset(self.section, y)
+        start, segments = self.section._replace(end=y, after=x), list[Segment]()
+        for _ in range(self.cycles):
+            segments += flow.cycle(x)
+            x = segments[-1].after
+        back = self.travel.back(flow, segments[-1].end, y)
+        return Passage(start, tuple(segments), back, flow.minus(back, y))
+
+    def derivative(self, passage: Passage) -> Array:
+        """Derivative of where a passage ends by where it begins, shape (n, n).
+
+        Transitions of smooth segments and saltation matrices of events, ended by the landing on
+        the guard; what travels away is taken out.
+
+        Raises:
+            SolveError: The motion grazes a guard.
+        """
+        flow, segments = self.flow, passage.segments
+        moved, late = section_reset(flow, passage.start), np.zeros(flow.size)
+        for segment in segments[:-1]:
+            moved, delays = through(flow, segment, transition(flow, segment).dot(moved), late)
+            late = delays if flow.ends_phase(segment) else late
+        last = segments[-1]
+        moved = landing(flow, last, transition(flow, last).dot(moved), late)
+        found: Array = self.travel.without(last.end, flow.size).dot(moved)
+        return found

@@ -1,5 +1,7 @@
 """The search for the gaits of a scene, from guesses of a task and grids of values of joints."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import product
 from typing import NamedTuple
@@ -20,23 +22,12 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.variants import with_sections
 
 Start = Mapping[str, float]
+
+
 """Values of `<joint>.position` and `<joint>.velocity`."""
 
 
 _SAME = 1.0e-7  # of the state: two searches that ended in one gait
-
-
-class Gait(NamedTuple):
-    """A periodic motion of a scene.
-
-    Attributes:
-        section: Segment that ends with the event of the section.
-        travel: Along which it moves on.
-    """
-
-    motion: PeriodicMotion
-    section: Segment
-    travel: Travel
 
 
 def found_gaits(family: SceneFamily, say: Say) -> list[Gait]:
@@ -64,39 +55,17 @@ def found_gaits(family: SceneFamily, say: Say) -> list[Gait]:
     return [found[i] for i in distinct(states, flow, _SAME)]
 
 
-def _gait(family: SceneFamily, x: State, others: Sequence[Gait]) -> Gait:
-    flow = family.flow()
-    segments = flow.cycle(x)
-    for _ in range(family.task.cycles - 1):
-        segments = flow.cycle(segments[-1].after)
-    travel = others[0].travel if others else travel_for(flow, segments, family.task)
-    section = segments[-1]
-    way = ReturnMap(flow, section, travel, family.task.cycles)
-    return Gait(periodic_motion(way, section.end), section, travel)
+class Gait(NamedTuple):
+    """A periodic motion of a scene.
 
+    Attributes:
+        section: Segment that ends with the event of the section.
+        travel: Along which it moves on.
+    """
 
-def _none(family: SceneFamily, failures: Sequence[MbdError]) -> MbdError:
-    """Why there is none, with what can be done."""
-    first = failures[0] if failures else SolveError("no guess can be placed")
-    where = family.task.source or family.scene.name
-    if isinstance(first, FallError):
-        return FallError(
-            f"{where}: from the guess not one cycle can be followed: {first}; accepted: another "
-            "guess in guesses, a grid of them in search, a longer longest"
-        )
-    return SolveError(
-        f"{where}: {first}; accepted: another guess in guesses, or a grid of them in search"
-    )
-
-
-def distinct(states: Sequence[State], flow: SimulatedFlow, near: float) -> list[int]:
-    """Numbers of the states that are no repetition of an earlier one."""
-    found: list[int] = []
-    for i, x in enumerate(states):
-        apart: list[Array] = [flow.minus(x, states[j]) for j in found]
-        if all(float(np.abs(d).max()) > near for d in apart):
-            found.append(i)
-    return found
+    motion: PeriodicMotion
+    section: Segment
+    travel: Travel
 
 
 def guesses(scene: Scene, task: GaitTask, flow: SimulatedFlow) -> Iterator[State]:
@@ -162,3 +131,38 @@ def placed_at(scene: Scene, flow: SimulatedFlow, x: State, start: Start) -> Stat
         else:
             velocities[index] = value
     return flow.placed(x, positions, velocities)
+
+
+def _gait(family: SceneFamily, x: State, others: Sequence[Gait]) -> Gait:
+    flow = family.flow()
+    segments = flow.cycle(x)
+    for _ in range(family.task.cycles - 1):
+        segments = flow.cycle(segments[-1].after)
+    travel = others[0].travel if others else travel_for(flow, segments, family.task)
+    section = segments[-1]
+    way = ReturnMap(flow, section, travel, family.task.cycles)
+    return Gait(periodic_motion(way, section.end), section, travel)
+
+
+def _none(family: SceneFamily, failures: Sequence[MbdError]) -> MbdError:
+    """Why there is none, with what can be done."""
+    first = failures[0] if failures else SolveError("no guess can be placed")
+    where = family.task.source or family.scene.name
+    if isinstance(first, FallError):
+        return FallError(
+            f"{where}: from the guess not one cycle can be followed: {first}; accepted: another "
+            "guess in guesses, a grid of them in search, a longer longest"
+        )
+    return SolveError(
+        f"{where}: {first}; accepted: another guess in guesses, or a grid of them in search"
+    )
+
+
+def distinct(states: Sequence[State], flow: SimulatedFlow, near: float) -> list[int]:
+    """Numbers of the states that are no repetition of an earlier one."""
+    found: list[int] = []
+    for i, x in enumerate(states):
+        apart: list[Array] = [flow.minus(x, states[j]) for j in found]
+        if all(float(np.abs(d).max()) > near for d in apart):
+            found.append(i)
+    return found

@@ -1,5 +1,7 @@
 """Tables of gaits: motion, length, speed, energy, branches, basins."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -28,6 +30,27 @@ MARKS = ("", FOLD, DOUBLING, TORUS)  # by their numbers in a table
 _SHOWN_STATES = 201  # states of a segment
 
 
+def gait_table(flow: SimulatedFlow, gaits: Sequence[Gait], found: Sequence[Measures]) -> Table:
+    """A row a gait.
+
+    Returns:
+        `gait`, `period`, `stable`, `travel`, `speed`, `energy_lost`, `positive_work`,
+        `negative_work`, `cost_of_transport`, `multiplier_1.real`, `.imaginary`, .., the state just
+        after the event of the section, and `residual` of the return map.
+    """
+    motions = [gait.motion for gait in gaits]
+    columns = [
+        Column("gait", np.arange(1, len(gaits) + 1)),
+        Column("period", np.array([one.period for one in found]), "s"),
+        Column("stable", np.array([motion.is_stable for motion in motions])),
+        *_measured(found),
+        *_multiplier_columns([motion.multipliers for motion in motions]),
+        *state_columns(flow, [motion.state for motion in motions]),
+        Column("residual", np.array([motion.residual for motion in motions])),
+    ]
+    return Table(columns)
+
+
 class Measures(NamedTuple):
     """What a gait is like, over the cycles after which it repeats.
 
@@ -48,27 +71,6 @@ class Measures(NamedTuple):
     positive_work: float
     negative_work: float
     cost_of_transport: float | None
-
-
-def gait_table(flow: SimulatedFlow, gaits: Sequence[Gait], found: Sequence[Measures]) -> Table:
-    """A row a gait.
-
-    Returns:
-        `gait`, `period`, `stable`, `travel`, `speed`, `energy_lost`, `positive_work`,
-        `negative_work`, `cost_of_transport`, `multiplier_1.real`, `.imaginary`, .., the state just
-        after the event of the section, and `residual` of the return map.
-    """
-    motions = [gait.motion for gait in gaits]
-    columns = [
-        Column("gait", np.arange(1, len(gaits) + 1)),
-        Column("period", np.array([one.period for one in found]), "s"),
-        Column("stable", np.array([motion.is_stable for motion in motions])),
-        *_measured(found),
-        *_multiplier_columns([motion.multipliers for motion in motions]),
-        *state_columns(flow, [motion.state for motion in motions]),
-        Column("residual", np.array([motion.residual for motion in motions])),
-    ]
-    return Table(columns)
 
 
 def _measured(found: Sequence[Measures]) -> list[Column]:
@@ -170,7 +172,7 @@ def branch_table(
     return Table([*columns, *state_columns(flow, [motion.state for motion in motions])])
 
 
-def basin_table(outcomes: "Sequence[Outcome]") -> Table:
+def basin_table(outcomes: Sequence[Outcome]) -> Table:
     """A row a start: its values, `outcome` and `cycles`.
 
     An outcome is the number of the gait, 0 for a fall, -1 where neither was seen, -2 where the

@@ -7,6 +7,8 @@ Source: M. Gautier, J. Robotic Systems 8, 1991, 485 (by QR); W. Khalil, E. Dombr
 Identification and Control of Robots, 2002, section 9.4.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -18,27 +20,11 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import SINGULAR
 
 # In a body: what others give comes last, so that masses join the moments that they add to.
-_ORDER = tuple(map(PLACES.index, ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz")))
+_ORDER = tuple(
+    PLACES.index(place)
+    for place in ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mcx", "mcy", "mcz", "mass")
+)
 _ROUNDED = 1.0e-9  # of the largest factor in a combination: what rounding leaves of none
-
-
-class BaseParameters(NamedTuple):
-    """Base parameters b = T p of inertial numbers p.
-
-    Attributes:
-        chosen: Numbers that stand for the base parameters: their columns of W are independent.
-        matrix: T, shape (r, p), with ones at `chosen`.
-        unseen: Numbers that no state shows, neither alone nor with others.
-    """
-
-    chosen: NDArray[np.intp]
-    matrix: Array
-    unseen: NDArray[np.intp]
-
-    def values(self, parameters: Array) -> Array:
-        """Base parameters of inertial numbers, shape (r,)."""
-        values: Array = self.matrix @ parameters
-        return values
 
 
 def base_parameters(rows: Array) -> BaseParameters:
@@ -62,6 +48,25 @@ def base_parameters(rows: Array) -> BaseParameters:
         T[:, given] = B * scale[given] / scale[chosen][:, None]
     T[np.abs(T) < _ROUNDED * np.abs(T).max(initial=1.0)] = 0.0
     return BaseParameters(chosen, T, np.setdiff1d(np.arange(p), seen))
+
+
+class BaseParameters(NamedTuple):
+    """Base parameters b = T p of inertial numbers p.
+
+    Attributes:
+        chosen: Numbers that stand for the base parameters: their columns of W are independent.
+        matrix: T, shape (r, p), with ones at `chosen`.
+        unseen: Numbers that no state shows, neither alone nor with others.
+    """
+
+    chosen: NDArray[np.intp]
+    matrix: Array
+    unseen: NDArray[np.intp]
+
+    def values(self, parameters: Array) -> Array:
+        """Base parameters of inertial numbers, shape (r,)."""
+        values: Array = self.matrix @ parameters
+        return values
 
 
 def _columns(p: int) -> list[int]:
@@ -124,6 +129,3 @@ def _symbol(place: str, body: str) -> str:
 def parameter_name(number: int, bodies: Sequence[str]) -> str:
     """Name of a number, such as `shank.Izz`; moments are about the joint."""
     return f"{bodies[number // COUNT]}.{PLACES[number % COUNT]}"
-
-
-_ORDER += tuple(map(PLACES.index, ("mcx", "mcy", "mcz", "mass")))

@@ -25,6 +25,8 @@ Meas. Control 136, 2014, 051025 (drive gains of all joints from a known load). L
 Identification, 1999, section 13.4 (noise in a closed loop).
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -222,32 +224,6 @@ def _lines(problem: Problem, motors: Motors) -> Iterator[str]:
         yield "efforts are those of the motors, not of the joints: the scene says those of joints"
 
 
-def coupled_in(scene: Scene, labels: Sequence[str]) -> Motors | None:
-    """Motors as the `gear_friction` of the scene has them; None if each turns with one joint.
-
-    Raises:
-        DataError: They do not determine the torques of the joints.
-    """
-    motors, ratios = Motors.of_joints(len(labels)), np.eye(len(labels))
-    for entry in scene.entries.get("forces") or []:
-        also: Mapping[str, float] = entry.get("also") or {}
-        for name, ratio in also.items():
-            if entry.get("joint") in labels and name in labels:
-                ratios[labels.index(entry["joint"]), labels.index(name)] = ratio
-    if abs(np.linalg.det(ratios)) < 1e-6:
-        raise DataError(f"{scene.name}: forces: `also` couples motors that turn as one")
-    motors = motors._replace(ratios=ratios)
-    return motors if motors.are_coupled else None
-
-
-def also_of(problem: Problem) -> list[dict[str, Any]]:
-    """Of each row the other joints that turn its motor, by name."""
-    return [
-        {problem.labels[j]: ratio for j, ratio in others.items()}
-        for others in problem.motors.others
-    ]
-
-
 def estimate_gains(problem: Problem, allowed: Sequence[str], say: Say) -> None:
     """Find the gains that are not given, and take efforts for torques from now on.
 
@@ -362,6 +338,14 @@ def _deviations(J: Array, places: Array) -> Array:
     return np.asarray(every[places])
 
 
+def as_measured(
+    problem: Problem, scenes: Sequence[Scene], pieces: Sequence[Piece], delay: float
+) -> Measured | None:
+    """All samples of pieces, or evenly some; None without any."""
+    found = [_of_piece(problem, scenes, piece, delay, _MOST_COMPARED) for piece in pieces]
+    return _joined(found) if found else None
+
+
 class Measured(NamedTuple):
     """Samples of the rows of a problem.
 
@@ -376,14 +360,6 @@ class Measured(NamedTuple):
     effort: Array
     predictions: list[Array]
     noise: Array
-
-
-def as_measured(
-    problem: Problem, scenes: Sequence[Scene], pieces: Sequence[Piece], delay: float
-) -> Measured | None:
-    """All samples of pieces, or evenly some; None without any."""
-    found = [_of_piece(problem, scenes, piece, delay, _MOST_COMPARED) for piece in pieces]
-    return _joined(found) if found else None
 
 
 def _of_piece(
@@ -402,6 +378,35 @@ def _of_piece(
     effort = efforts(problem, piece, piece.measured, grid, 0.0)
     predictions = [_later(times, values, delay) for values in said]
     return Measured(times, effort, predictions, _later(times, noise, delay))
+
+
+def torques(
+    scene: Scene,
+    problem: Problem,
+    motion: tuple[Array, Array, Array],
+    loads: list[Array],
+    carried: Array | None,
+) -> Array:
+    """What a scene says of the efforts of the rows, shape (n, m)."""
+    regressor = regressor_of(scene, problem.learned)
+    W = regressor.rows(*motion)
+    inertial = parameters_of(scene.robot.model).ravel()
+    moved = inertial if carried is None else inertial + carried
+    found: Array = (W @ moved + regressor.known(W, *motion, loads))[:, problem.rows]
+    return problem.motors.measured(found)
+
+
+def efforts(
+    problem: Problem, piece: Piece, values: Array, grid: NDArray[np.intp], delay: float
+) -> Array:
+    """Efforts of the rows at the times of the motion, 0 of rows without any, shape (n, m)."""
+    found = np.zeros((len(grid), len(problem.rows)))
+    for k, joint in enumerate(problem.joints):
+        if joint >= 0 and delay:
+            found[:, k] = np.interp(piece.times[grid] + delay, piece.times, values[:, joint])
+        elif joint >= 0:
+            found[:, k] = values[grid, joint]
+    return found
 
 
 def _later(times: Array, values: Array, delay: float) -> Array:
@@ -457,30 +462,27 @@ def _feedback_slope(noise: Array, left: Array) -> tuple[float, float]:
     return slope, float(np.sqrt(rest / n / power))
 
 
-def efforts(
-    problem: Problem, piece: Piece, values: Array, grid: NDArray[np.intp], delay: float
-) -> Array:
-    """Efforts of the rows at the times of the motion, 0 of rows without any, shape (n, m)."""
-    found = np.zeros((len(grid), len(problem.rows)))
-    for k, joint in enumerate(problem.joints):
-        if joint >= 0 and delay:
-            found[:, k] = np.interp(piece.times[grid] + delay, piece.times, values[:, joint])
-        elif joint >= 0:
-            found[:, k] = values[grid, joint]
-    return found
+def coupled_in(scene: Scene, labels: Sequence[str]) -> Motors | None:
+    """Motors as the `gear_friction` of the scene has them; None if each turns with one joint.
+
+    Raises:
+        DataError: They do not determine the torques of the joints.
+    """
+    motors, ratios = Motors.of_joints(len(labels)), np.eye(len(labels))
+    for entry in scene.entries.get("forces") or []:
+        also: Mapping[str, float] = entry.get("also") or {}
+        for name, ratio in also.items():
+            if entry.get("joint") in labels and name in labels:
+                ratios[labels.index(entry["joint"]), labels.index(name)] = ratio
+    if abs(np.linalg.det(ratios)) < 1e-6:
+        raise DataError(f"{scene.name}: forces: `also` couples motors that turn as one")
+    motors = motors._replace(ratios=ratios)
+    return motors if motors.are_coupled else None
 
 
-def torques(
-    scene: Scene,
-    problem: Problem,
-    motion: tuple[Array, Array, Array],
-    loads: list[Array],
-    carried: Array | None,
-) -> Array:
-    """What a scene says of the efforts of the rows, shape (n, m)."""
-    regressor = regressor_of(scene, problem.learned)
-    W = regressor.rows(*motion)
-    inertial = parameters_of(scene.robot.model).ravel()
-    moved = inertial if carried is None else inertial + carried
-    found: Array = (W @ moved + regressor.known(W, *motion, loads))[:, problem.rows]
-    return problem.motors.measured(found)
+def also_of(problem: Problem) -> list[dict[str, Any]]:
+    """Of each row the other joints that turn its motor, by name."""
+    return [
+        {problem.labels[j]: ratio for j, ratio in others.items()}
+        for others in problem.motors.others
+    ]

@@ -7,6 +7,8 @@ digits that A'A would.
 Source: A. Bjorck, Numerical Methods for Least Squares Problems, 1996, section 2.4.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
@@ -22,6 +24,27 @@ _SWEEPS = 4  # of weights and of choices of friction, at most
 _HIGHEST_ORDER = 8  # of the process
 _SLOW_POWER = 2.0  # times that of white noise at the lowest frequencies: the model lacks something
 _PER_ORDER = 20  # residuals that a coefficient needs
+
+
+def fit(joints: Sequence[Joint], taken: Sequence[tuple[int, ...]], r: int) -> Fit:
+    """Iteratively reweighted least squares, one deviation a joint.
+
+    Args:
+        joints: The joints.
+        taken: Columns of each that are taken.
+        r: Number of base parameters.
+
+    Source: M. Gautier, P. Poignet, Control Eng. Practice 9, 2001, 1361 (weights by joint).
+    """
+    deviation = np.array([max(joint.usual, TINY) for joint in joints])
+    for _ in range(_SWEEPS):
+        A, b = stacked(joints, taken, r, deviation)
+        x, condition = solved(A, b)
+        each = list(zip(joints, taken, _each(x, taken, r), strict=True))
+        left = [(j, _left(j, own, r, y)) for j, own, y in each]
+        deviation = np.array([max(rms, _FLOOR * j.usual, TINY) for j, rms in left])
+    parts = tuple(y[r:] for y in _each(x, taken, r))
+    return Fit(x[:r], parts, tuple(taken), deviation, condition)
 
 
 class Joint(NamedTuple):
@@ -60,27 +83,6 @@ class Fit(NamedTuple):
     condition: float
 
 
-def fit(joints: Sequence[Joint], taken: Sequence[tuple[int, ...]], r: int) -> Fit:
-    """Iteratively reweighted least squares, one deviation a joint.
-
-    Args:
-        joints: The joints.
-        taken: Columns of each that are taken.
-        r: Number of base parameters.
-
-    Source: M. Gautier, P. Poignet, Control Eng. Practice 9, 2001, 1361 (weights by joint).
-    """
-    deviation = np.array([max(joint.usual, TINY) for joint in joints])
-    for _ in range(_SWEEPS):
-        A, b = stacked(joints, taken, r, deviation)
-        x, condition = solved(A, b)
-        each = list(zip(joints, taken, _each(x, taken, r), strict=True))
-        left = [(j, _left(j, own, r, y)) for j, own, y in each]
-        deviation = np.array([max(rms, _FLOOR * j.usual, TINY) for j, rms in left])
-    parts = tuple(y[r:] for y in _each(x, taken, r))
-    return Fit(x[:r], parts, tuple(taken), deviation, condition)
-
-
 def stacked(
     joints: Sequence[Joint], taken: Sequence[tuple[int, ...]], r: int, deviation: Array
 ) -> tuple[Array, Array]:
@@ -96,25 +98,13 @@ def stacked(
     return np.concatenate(blocks), np.concatenate(known)
 
 
-def rows_by_worth(
-    joints: Sequence[Joint], fit: Fit, r: int, least: Array
-) -> tuple[Array, Array, NDArray[np.bool_]]:
-    """Rows and torques over their deviations, weighed by what they are worth.
-
-    Args:
-        joints: The joints of a fit.
-        fit: It.
-        r: Number of base parameters.
-        least: Deviations that rows have at least [N·m or N], shape (m,).
-
-    Returns:
-        A, b, and which friction is not negative, shape (f,).
-    """
-    worth = np.array([np.sqrt(max(j.effective, 1.0) / max(j.rows, 1)) for j in joints])
-    A, b = stacked(joints, fit.taken, r, np.maximum(fit.deviation, least) / worth)
-    pairs = zip(joints, fit.taken, strict=True)
-    signed = [joint.columns[k].term != "offset" for joint, own in pairs for k in own]
-    return A, b, np.array(signed, dtype=np.bool_)
+def solved(A: Array, b: Array) -> tuple[Array, float]:
+    """Least squares with scaled columns, shortest where columns depend; condition of them."""
+    scale = np.linalg.norm(A, axis=0)
+    scale[scale == 0.0] = 1.0
+    x, _, _, s = np.linalg.lstsq(A / scale, b, rcond=SINGULAR**1.5)
+    condition = float(s[0] / s[-1]) if len(s) and s[-1] > 0.0 else np.inf
+    return (x.T / scale).T, condition
 
 
 def _each(x: Array, taken: Sequence[tuple[int, ...]], r: int) -> Iterator[Array]:
@@ -160,6 +150,14 @@ def select(
         if taken == before:
             break
     return taken
+
+
+def usual_choice(joint: Joint, allowed: Sequence[str]) -> tuple[int, ...]:
+    """Viscous and dry friction and an offset, to start from."""
+    found = {c.term: i for i, c in reversed(list(enumerate(joint.columns))) if c.term in allowed}
+    dry = [i for i, c in enumerate(joint.columns) if c.term == "coulomb" and "coulomb" in allowed]
+    middle = dry[len(dry) // 2 : len(dry) // 2 + 1]
+    return (*middle, *(found[t] for t in ("viscous", "offset") if t in found))
 
 
 def _rest(
@@ -222,53 +220,20 @@ def _cheapest(
     return cheapest
 
 
-def usual_choice(joint: Joint, allowed: Sequence[str]) -> tuple[int, ...]:
-    """Viscous and dry friction and an offset, to start from."""
-    found = {c.term: i for i, c in reversed(list(enumerate(joint.columns))) if c.term in allowed}
-    dry = [i for i, c in enumerate(joint.columns) if c.term == "coulomb" and "coulomb" in allowed]
-    middle = dry[len(dry) // 2 : len(dry) // 2 + 1]
-    return (*middle, *(found[t] for t in ("viscous", "offset") if t in found))
-
-
-def solved(A: Array, b: Array) -> tuple[Array, float]:
-    """Least squares with scaled columns, shortest where columns depend; condition of them."""
-    scale = np.linalg.norm(A, axis=0)
-    scale[scale == 0.0] = 1.0
-    x, _, _, s = np.linalg.lstsq(A / scale, b, rcond=SINGULAR**1.5)
-    condition = float(s[0] / s[-1]) if len(s) and s[-1] > 0.0 else np.inf
-    return (x.T / scale).T, condition
-
-
-class Triangle:
-    """Upper triangle R of rows that come in pieces.
+def noise_of(left: Array, correlation: Array) -> Noise:
+    """Noise behind a filter, or the process of residuals that are more than that.
 
     Args:
-        columns: How many a row has.
-
-    Attributes:
-        R: Shape (k, columns), k at most `columns`.
-        rows: How many rows came.
+        left: Residuals, shape (n,).
+        correlation: Of white noise behind the filter, 1 first, shape (k,).
     """
-
-    def __init__(self, columns: int) -> None:
-        self.R, self.rows = np.zeros((0, columns)), 0
-        self._pieces: list[Array] = []
-        self._waiting = 0
-
-    def add(self, rows: Array) -> None:
-        """Take rows, shape (n, columns)."""
-        self._pieces.append(rows)
-        self._waiting += len(rows)
-        self.rows += len(rows)
-        if self._waiting > 8 * rows.shape[1]:
-            self.close()
-
-    def close(self) -> "Triangle":
-        """Fold in rows that wait; returns itself."""
-        if self._waiting:
-            self.R = triangle_of(np.concatenate([self.R, *self._pieces]))
-            self._pieces, self._waiting = [], 0
-        return self
+    share = float(1.0 / (1.0 + 2.0 * np.sum(np.square(correlation[1:]))))
+    power = float(left @ left) / max(len(left), 1)
+    white = Noise(correlation, np.zeros(0), float(np.sqrt(power)), share)
+    process = _process(left)
+    slow = process.innovation / (1.0 - float(process.coefficients.sum()))
+    level = power * max(float(1.0 + 2.0 * correlation[1:].sum()), 0.0)
+    return process if slow**2 > _SLOW_POWER * level else white
 
 
 class Noise(NamedTuple):
@@ -290,22 +255,6 @@ class Noise(NamedTuple):
     coefficients: Array
     innovation: float
     share: float
-
-
-def noise_of(left: Array, correlation: Array) -> Noise:
-    """Noise behind a filter, or the process of residuals that are more than that.
-
-    Args:
-        left: Residuals, shape (n,).
-        correlation: Of white noise behind the filter, 1 first, shape (k,).
-    """
-    share = float(1.0 / (1.0 + 2.0 * np.sum(np.square(correlation[1:]))))
-    power = float(left @ left) / max(len(left), 1)
-    white = Noise(correlation, np.zeros(0), float(np.sqrt(power)), share)
-    process = _process(left)
-    slow = process.innovation / (1.0 - float(process.coefficients.sum()))
-    level = power * max(float(1.0 + 2.0 * correlation[1:].sum()), 0.0)
-    return process if slow**2 > _SLOW_POWER * level else white
 
 
 def _process(left: Array) -> Noise:
@@ -409,3 +358,56 @@ def _spread(rows: Array, noise: Noise) -> Array:
         across = rho * rows[:-k].T @ rows[k:]
         found += across + across.T
     return np.asarray(found)
+
+
+def rows_by_worth(
+    joints: Sequence[Joint], fit: Fit, r: int, least: Array
+) -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Rows and torques over their deviations, weighed by what they are worth.
+
+    Args:
+        joints: The joints of a fit.
+        fit: It.
+        r: Number of base parameters.
+        least: Deviations that rows have at least [N·m or N], shape (m,).
+
+    Returns:
+        A, b, and which friction is not negative, shape (f,).
+    """
+    worth = np.array([np.sqrt(max(j.effective, 1.0) / max(j.rows, 1)) for j in joints])
+    A, b = stacked(joints, fit.taken, r, np.maximum(fit.deviation, least) / worth)
+    pairs = zip(joints, fit.taken, strict=True)
+    signed = [joint.columns[k].term != "offset" for joint, own in pairs for k in own]
+    return A, b, np.array(signed, dtype=np.bool_)
+
+
+class Triangle:
+    """Upper triangle R of rows that come in pieces.
+
+    Args:
+        columns: How many a row has.
+
+    Attributes:
+        R: Shape (k, columns), k at most `columns`.
+        rows: How many rows came.
+    """
+
+    def __init__(self, columns: int) -> None:
+        self.R, self.rows = np.zeros((0, columns)), 0
+        self._pieces: list[Array] = []
+        self._waiting = 0
+
+    def add(self, rows: Array) -> None:
+        """Take rows, shape (n, columns)."""
+        self._pieces.append(rows)
+        self._waiting += len(rows)
+        self.rows += len(rows)
+        if self._waiting > 8 * rows.shape[1]:
+            self.close()
+
+    def close(self) -> Triangle:
+        """Fold in rows that wait; returns itself."""
+        if self._waiting:
+            self.R = triangle_of(np.concatenate([self.R, *self._pieces]))
+            self._pieces, self._waiting = [], 0
+        return self

@@ -10,6 +10,8 @@ Source: P. M. Wensing, S. Kim, J.-J. E. Slotine, IEEE Robot. Autom. Lett. 3, 201
 T. Lee, P. M. Wensing, F. C. Park, IEEE Trans. Robot. 36, 2020, 168 (the distance).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -36,20 +38,6 @@ _CONE_SLACK = 1.0e-5  # of the sizes at hand: by how much a solver may miss the 
 _FRICTION_WEIGHT = 1.0e-9  # of the weight of bodies: friction is as the data say
 _SIDE = 4  # of P
 _UPPER = [(i, j) for j in range(_SIDE) for i in range(j + 1)]
-
-
-class Consistent(NamedTuple):
-    """Numbers that bodies can have.
-
-    Attributes:
-        inertial: Of all bodies, shape (bodies, 10).
-        friction: Of all joints together.
-        deviation: |Z_i - E| of each body: 1 is a deviation by all of it, shape (bodies,).
-    """
-
-    inertial: Array
-    friction: Array
-    deviation: Array
 
 
 def consistent(
@@ -87,6 +75,20 @@ def consistent(
     inertial = np.array([M @ own for M, own in zip(maps, z, strict=True)])
     away = np.linalg.norm(z - one.reshape(bodies, COUNT), axis=1)
     return Consistent(inertial, x[len(one) :] / scale, away)
+
+
+class Consistent(NamedTuple):
+    """Numbers that bodies can have.
+
+    Attributes:
+        inertial: Of all bodies, shape (bodies, 10).
+        friction: Of all joints together.
+        deviation: |Z_i - E| of each body: 1 is a deviation by all of it, shape (bodies,).
+    """
+
+    inertial: Array
+    friction: Array
+    deviation: Array
 
 
 def _maps(given: Array) -> list[Array]:

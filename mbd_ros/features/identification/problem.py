@@ -1,5 +1,7 @@
 """The rows of an identification: which there are, and what is known of them."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from itertools import zip_longest
@@ -57,90 +59,6 @@ _MOVING_SHARE = 0.5  # of a window of the filter: the least that is kept
 _CHUNK = 4000  # samples of the grid that are asked for at once
 _STATES = 1000  # random ones that tell which base parameters there are
 _MOST_KEPT = 3.0e7  # numbers in blocks that are kept; more are made again when asked for
-
-
-class Block(NamedTuple):
-    """Filtered rows that follow each other.
-
-    Attributes:
-        X: Columns of the base parameters, shape (n, m, r).
-        F: Candidates of friction of each row, shape (n, k) each.
-        Y: Torques with a delay each, shape (n, m, delays).
-        kept: Which of the n x m rows count, shape (n, m).
-        known: What is known of the torques and taken out of them, shape (n, m).
-    """
-
-    X: Array
-    F: list[Array]
-    Y: Array
-    kept: NDArray[np.bool_]
-    known: Array
-
-
-class Motors(NamedTuple):
-    """Motors that turn with several joints, as those of a wrist behind bevel gears.
-
-        w = U v,    tau = U' tau_m
-
-    with v and tau of joints, w and tau_m of motors, reduced to the joints that bear their names: U
-    has ones on its diagonal. Friction is a function of w, so that rows of motors, U^-T times those
-    of the joints, have a friction of their own each.
-
-    Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, section 9.7
-    (coupled transmissions).
-
-    Attributes:
-        ratios: U, shape (m, m).
-        are_measured: Whether efforts are those of motors, not of joints.
-    """
-
-    ratios: Array
-    are_measured: bool = False
-
-    @classmethod
-    def of_joints(cls, count: int) -> "Motors":
-        """One motor a joint."""
-        return cls(np.eye(count))
-
-    @property
-    def are_coupled(self) -> bool:
-        """Whether any turns with several joints."""
-        return bool(np.any(self.ratios != np.eye(len(self.ratios))))
-
-    @property
-    def others(self) -> list[dict[int, float]]:
-        """Of each motor the other joints that turn it, and their ratios."""
-        m = len(self.ratios)
-        return [
-            {j: float(row[j]) for j in range(m) if j != i and row[j] != 0.0}
-            for i, row in enumerate(self.ratios)
-        ]
-
-    @property
-    def alone(self) -> Array:
-        """Motors of one joint that turns no other motor, shape (m,) of truth."""
-        apart = self.ratios != np.eye(len(self.ratios))
-        return np.asarray(~(apart.any(axis=0) | apart.any(axis=1)))
-
-    def speeds(self, v: Array) -> Array:
-        """Of motors, of those of joints, shape (.., m)."""
-        return v @ self.ratios.T
-
-    def torques(self, tau: Array) -> Array:
-        """Of motors, of those of joints, shape (.., m)."""
-        return tau @ np.linalg.inv(self.ratios)
-
-    def measured(self, tau: Array) -> Array:
-        """What is measured of torques of joints, shape (.., m)."""
-        return self.torques(tau) if self.are_measured else tau
-
-    def from_measured(self, effort: Array) -> Array:
-        """Torques of motors of what is measured, shape (.., m)."""
-        return effort if self.are_measured else self.torques(effort)
-
-    def as_measured(self, torque: Array) -> Array:
-        """Inverse of `from_measured`."""
-        return torque if self.are_measured else torque @ self.ratios
 
 
 class Problem:
@@ -380,6 +298,53 @@ def _carried(scene: Scene, frame: str, numbers: Sequence[float]) -> Array:
     return found
 
 
+def regressor_of(scene: Scene, recorded: Sequence[Recorded]) -> Regressor | LoopRegressor:
+    """The regressor of a scene, with or without loops; efforts tell which joints drive loops."""
+    solver = scene.inverse_dynamics()
+    if isinstance(solver, InverseDynamics):
+        return Regressor(scene.robot, solver)
+    try:
+        return LoopRegressor(scene.robot, solver, scene.initial, driven_joints(scene, recorded))
+    except ModelError as error:
+        raise DataError(f"{scene.name}: {error}") from error
+
+
+def driven_joints(scene: Scene, recorded: Sequence[Recorded]) -> list[str]:
+    """Independent joints with an effort that is not 0 throughout.
+
+    Raises:
+        DataError: There is none.
+    """
+    names, found = scene.couplings.independent, []
+    for i, name in enumerate(names):
+        efforts = [one.motion.effort for one in recorded]
+        known = [effort[:, i] for effort in efforts if effort is not None]
+        if known and all(np.isfinite(e).mean() > 0.99 and e.any() for e in known):
+            found.append(name)
+    if not found:
+        where = ", ".join(one.where for one in recorded)
+        raise DataError(f"{where}: no effort of any of {', '.join(names)}")
+    return found
+
+
+class Block(NamedTuple):
+    """Filtered rows that follow each other.
+
+    Attributes:
+        X: Columns of the base parameters, shape (n, m, r).
+        F: Candidates of friction of each row, shape (n, k) each.
+        Y: Torques with a delay each, shape (n, m, delays).
+        kept: Which of the n x m rows count, shape (n, m).
+        known: What is known of the torques and taken out of them, shape (n, m).
+    """
+
+    X: Array
+    F: list[Array]
+    Y: Array
+    kept: NDArray[np.bool_]
+    known: Array
+
+
 def gained(
     found: Iterable[Piece], names: Sequence[str], gains: Mapping[str, float]
 ) -> Iterator[Piece]:
@@ -438,35 +403,6 @@ def passive_joints(
         )
         return tuple(chain)
     return ()
-
-
-def regressor_of(scene: Scene, recorded: Sequence[Recorded]) -> Regressor | LoopRegressor:
-    """The regressor of a scene, with or without loops; efforts tell which joints drive loops."""
-    solver = scene.inverse_dynamics()
-    if isinstance(solver, InverseDynamics):
-        return Regressor(scene.robot, solver)
-    try:
-        return LoopRegressor(scene.robot, solver, scene.initial, driven_joints(scene, recorded))
-    except ModelError as error:
-        raise DataError(f"{scene.name}: {error}") from error
-
-
-def driven_joints(scene: Scene, recorded: Sequence[Recorded]) -> list[str]:
-    """Independent joints with an effort that is not 0 throughout.
-
-    Raises:
-        DataError: There is none.
-    """
-    names, found = scene.couplings.independent, []
-    for i, name in enumerate(names):
-        efforts = [one.motion.effort for one in recorded]
-        known = [effort[:, i] for effort in efforts if effort is not None]
-        if known and all(np.isfinite(e).mean() > 0.99 and e.any() for e in known):
-            found.append(name)
-    if not found:
-        where = ", ".join(one.where for one in recorded)
-        raise DataError(f"{where}: no effort of any of {', '.join(names)}")
-    return found
 
 
 class RowMaker:
@@ -563,3 +499,69 @@ def _overlapping(grid: NDArray[np.intp], low: Filter) -> Iterator[NDArray[np.int
     for first in range(0, len(starts), count):
         some = starts[first : first + count]
         yield grid[some[0] : some[-1] + len(low.taps)]
+
+
+class Motors(NamedTuple):
+    """Motors that turn with several joints, as those of a wrist behind bevel gears.
+
+        w = U v,    tau = U' tau_m
+
+    with v and tau of joints, w and tau_m of motors, reduced to the joints that bear their names: U
+    has ones on its diagonal. Friction is a function of w, so that rows of motors, U^-T times those
+    of the joints, have a friction of their own each.
+
+    Source: W. Khalil, E. Dombre, Modeling, Identification and Control of Robots, 2002, section 9.7
+    (coupled transmissions).
+
+    Attributes:
+        ratios: U, shape (m, m).
+        are_measured: Whether efforts are those of motors, not of joints.
+    """
+
+    ratios: Array
+    are_measured: bool = False
+
+    @classmethod
+    def of_joints(cls, count: int) -> Motors:
+        """One motor a joint."""
+        return cls(np.eye(count))
+
+    @property
+    def are_coupled(self) -> bool:
+        """Whether any turns with several joints."""
+        return bool(np.any(self.ratios != np.eye(len(self.ratios))))
+
+    @property
+    def others(self) -> list[dict[int, float]]:
+        """Of each motor the other joints that turn it, and their ratios."""
+        m = len(self.ratios)
+        return [
+            {j: float(row[j]) for j in range(m) if j != i and row[j] != 0.0}
+            for i, row in enumerate(self.ratios)
+        ]
+
+    @property
+    def alone(self) -> Array:
+        """Motors of one joint that turns no other motor, shape (m,) of truth."""
+        apart = self.ratios != np.eye(len(self.ratios))
+        return np.asarray(~(apart.any(axis=0) | apart.any(axis=1)))
+
+    def speeds(self, v: Array) -> Array:
+        """Of motors, of those of joints, shape (.., m)."""
+        return v @ self.ratios.T
+
+    def torques(self, tau: Array) -> Array:
+        """Of motors, of those of joints, shape (.., m)."""
+        return tau @ np.linalg.inv(self.ratios)
+
+    def measured(self, tau: Array) -> Array:
+        """What is measured of torques of joints, shape (.., m)."""
+        return self.torques(tau) if self.are_measured else tau
+
+    def from_measured(self, effort: Array) -> Array:
+        """Torques of motors of what is measured, shape (.., m)."""
+        return effort if self.are_measured else self.torques(effort)
+
+    def as_measured(self, torque: Array) -> Array:
+        """Inverse of `from_measured`."""
+        return torque if self.are_measured else torque @ self.ratios

@@ -1,5 +1,7 @@
 """From blocks of rows to base parameters and friction: delay, choice of friction, weights."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
@@ -27,36 +29,6 @@ _OUTLIER = 3.0  # standard deviations: larger residuals weigh less (Huber)
 _NORMAL = 1.4826  # standard deviation over median of the size, of normal numbers
 _DELAYS = 41  # tried at once
 _USUAL_SHARE = 0.5  # of the rows that the filter keeps, before their residuals are known
-
-
-class Search(NamedTuple):
-    """Which delays are looked for.
-
-    Attributes:
-        reach: Longest one [s]; 0 for none.
-        least: Shortest one that counts, half a step of the recording [s].
-    """
-
-    reach: float
-    least: float
-
-
-class Learned(NamedTuple):
-    """What rows say.
-
-    Attributes:
-        fit: Base parameters and friction.
-        joints: Triangles that they are from.
-        covariance: Of base parameters, then friction, shape (r + f, r + f).
-        delay: Of efforts against motion [s].
-        noise: Of the residuals of each row.
-    """
-
-    fit: Fit
-    joints: list[Joint]
-    covariance: Array
-    delay: float
-    noise: list[Noise]
 
 
 def learn(
@@ -101,22 +73,63 @@ def learn(
     return Learned(found, joints, covariance, delay, noise)
 
 
-class _Weights(NamedTuple):
-    """How rows are weighed.
+class Search(NamedTuple):
+    """Which delays are looked for.
 
     Attributes:
-        found: What they are compared with.
-        limits: Residuals beyond which rows weigh less [N·m or N], shape (m,).
+        reach: Longest one [s]; 0 for none.
+        least: Shortest one that counts, half a step of the recording [s].
     """
 
-    found: Fit
-    limits: Array
+    reach: float
+    least: float
 
 
-def _limits(left: Sequence[Array]) -> Array:
-    """Residuals beyond which rows weigh less, by the median of each row."""
-    sizes = [float(np.median(np.abs(own))) if len(own) else np.inf for own in left]
-    return _OUTLIER * _NORMAL * np.array(sizes)
+class Learned(NamedTuple):
+    """What rows say.
+
+    Attributes:
+        fit: Base parameters and friction.
+        joints: Triangles that they are from.
+        covariance: Of base parameters, then friction, shape (r + f, r + f).
+        delay: Of efforts against motion [s].
+        noise: Of the residuals of each row.
+    """
+
+    fit: Fit
+    joints: list[Joint]
+    covariance: Array
+    delay: float
+    noise: list[Noise]
+
+
+def delay_of(
+    blocks: Blocks,
+    columns: Sequence[tuple[Column, ...]],
+    r: int,
+    allowed: Sequence[str],
+    search: Search,
+    correlation: Array,
+) -> float:
+    """Delay of efforts against the motion [s], 0 where it does not count; as for `learn`."""
+    if search.reach <= 0.0:
+        return 0.0
+    found = first_fit(blocks, columns, r, allowed, 0.0)
+    noise = [noise_of(e, correlation) for e in residuals(blocks(np.zeros(1)), found)]
+    delay = find_delay(blocks, columns, r, allowed, search.reach, noise)
+    return delay if abs(delay) > search.least else 0.0
+
+
+def first_fit(
+    blocks: Blocks,
+    columns: Sequence[tuple[Column, ...]],
+    r: int,
+    allowed: Sequence[str],
+    delay: float,
+) -> Fit:
+    """Fit with the usual friction of joints."""
+    joints = _joints(_triangles(blocks(np.array([delay])), columns, None), columns, r)
+    return fit(joints, [usual_choice(joint, allowed) for joint in joints], r)
 
 
 def _joints(
@@ -152,6 +165,18 @@ def _triangles(
     return [triangle.close() for triangle in triangles]
 
 
+class _Weights(NamedTuple):
+    """How rows are weighed.
+
+    Attributes:
+        found: What they are compared with.
+        limits: Residuals beyond which rows weigh less [N·m or N], shape (m,).
+    """
+
+    found: Fit
+    limits: Array
+
+
 def _weighted(blocks: Iterable[Block], weights: _Weights | None) -> Iterator[Block]:
     """Rows times the root of their weight."""
     for block in blocks:
@@ -166,21 +191,22 @@ def _weighted(blocks: Iterable[Block], weights: _Weights | None) -> Iterator[Blo
         )
 
 
-def delay_of(
-    blocks: Blocks,
-    columns: Sequence[tuple[Column, ...]],
-    r: int,
-    allowed: Sequence[str],
-    search: Search,
-    correlation: Array,
-) -> float:
-    """Delay of efforts against the motion [s], 0 where it does not count; as for `learn`."""
-    if search.reach <= 0.0:
-        return 0.0
-    found = first_fit(blocks, columns, r, allowed, 0.0)
-    noise = [noise_of(e, correlation) for e in residuals(blocks(np.zeros(1)), found)]
-    delay = find_delay(blocks, columns, r, allowed, search.reach, noise)
-    return delay if abs(delay) > search.least else 0.0
+def residual(block: Block, found: Fit) -> Array:
+    """What a fit leaves of the torques, the first delay, shape (n, m)."""
+    left = block.Y[:, :, 0] - block.X @ found.base
+    for i, (own, values) in enumerate(zip(found.taken, found.friction, strict=True)):
+        left[:, i] -= block.F[i][:, own] @ values
+    return np.asarray(left)
+
+
+def residuals(blocks: Iterable[Block], found: Fit) -> list[Array]:
+    """What a fit leaves of the torque of each row, those that count."""
+    every: list[list[Array]] = [[] for _ in found.taken]
+    for block in blocks:
+        left = residual(block, found)
+        for i, own in enumerate(every):
+            own.append(left[block.kept[:, i], i])
+    return [np.concatenate(own) for own in every]
 
 
 def find_delay(
@@ -225,31 +251,7 @@ def _least(tried: Array, costs: Array, effective: float) -> float:
     return float(tried[best] + shift * (tried[1] - tried[0]))
 
 
-def first_fit(
-    blocks: Blocks,
-    columns: Sequence[tuple[Column, ...]],
-    r: int,
-    allowed: Sequence[str],
-    delay: float,
-) -> Fit:
-    """Fit with the usual friction of joints."""
-    joints = _joints(_triangles(blocks(np.array([delay])), columns, None), columns, r)
-    return fit(joints, [usual_choice(joint, allowed) for joint in joints], r)
-
-
-def residuals(blocks: Iterable[Block], found: Fit) -> list[Array]:
-    """What a fit leaves of the torque of each row, those that count."""
-    every: list[list[Array]] = [[] for _ in found.taken]
-    for block in blocks:
-        left = residual(block, found)
-        for i, own in enumerate(every):
-            own.append(left[block.kept[:, i], i])
-    return [np.concatenate(own) for own in every]
-
-
-def residual(block: Block, found: Fit) -> Array:
-    """What a fit leaves of the torques, the first delay, shape (n, m)."""
-    left = block.Y[:, :, 0] - block.X @ found.base
-    for i, (own, values) in enumerate(zip(found.taken, found.friction, strict=True)):
-        left[:, i] -= block.F[i][:, own] @ values
-    return np.asarray(left)
+def _limits(left: Sequence[Array]) -> Array:
+    """Residuals beyond which rows weigh less, by the median of each row."""
+    sizes = [float(np.median(np.abs(own))) if len(own) else np.inf for own in left]
+    return _OUTLIER * _NORMAL * np.array(sizes)

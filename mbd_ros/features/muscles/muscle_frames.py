@@ -4,6 +4,8 @@ With the lengths l_i of paths, J_i = dl_i/dq and G of the couplings, a tension F
 -G' J_i' F_i on the independent coordinates.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -25,27 +27,6 @@ from mbd_ros.methods.inverse_dynamics.reserves import (
 )
 
 _FEW_FRAMES = 4  # that cost less one by one, but where a search takes many
-
-
-class Frames(NamedTuple):
-    """One row a frame.
-
-    Attributes:
-        length: Of the paths [m], shape (frames, n).
-        speed: Their rates [m/s], shape (frames, n).
-        active: Force along the tendon at full activation [N], shape (frames, n).
-        passive: Elastic force of the fibres along the tendon [N], shape (frames, n).
-        fiber_speed: Rate of the length of the fibres [m/s], shape (frames, n).
-        columns: Force of the independent coordinates by a tension of 1 N, and by 1 N or N·m of
-            a reserve, shape (frames, nv_y, n + r).
-    """
-
-    length: Array
-    speed: Array
-    active: Array
-    passive: Array
-    fiber_speed: Array
-    columns: Array
 
 
 class MuscleFrames:
@@ -178,3 +159,24 @@ class MuscleFrames:
             every = [np.repeat(np.broadcast_to(slope, count), n) for slope in slopes]
         tau, _ = self._couplings.reduce(np.ascontiguousarray(full.reshape(-1, nv).T), every)
         return tau.T.reshape(count, n, len(tau))
+
+
+class Frames(NamedTuple):
+    """One row a frame.
+
+    Attributes:
+        length: Of the paths [m], shape (frames, n).
+        speed: Their rates [m/s], shape (frames, n).
+        active: Force along the tendon at full activation [N], shape (frames, n).
+        passive: Elastic force of the fibres along the tendon [N], shape (frames, n).
+        fiber_speed: Rate of the length of the fibres [m/s], shape (frames, n).
+        columns: Force of the independent coordinates by a tension of 1 N, and by 1 N or N·m of
+            a reserve, shape (frames, nv_y, n + r).
+    """
+
+    length: Array
+    speed: Array
+    active: Array
+    passive: Array
+    fiber_speed: Array
+    columns: Array

@@ -11,6 +11,8 @@ frame knows of another, unless rates of activation are limited.
 Source: K. R. Kaufman, K. An, W. Litchy, E. Chao, J. Biomech. 24 (1991) 781, 793.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -31,6 +33,7 @@ from mbd_ros.methods.inverse_dynamics.reserves import Reserve
 
 _LEAST_PRICE = 1.0e-6  # price of a muscle that has no force at all
 EXPONENTS = {"activation": 2.0, "stress": 3.0, "volume": 2.0, "metabolic": 1.0}
+MOST_WITH_TRACKING = 3.0  # exponent beside a measured activation
 
 
 class Criterion(NamedTuple):
@@ -53,7 +56,7 @@ class Criterion(NamedTuple):
     kind: str = "activation"
     exponent: float = 2.0
 
-    def prices(self, sizes: "Sizes", active: Array, speed: Array) -> Array:
+    def prices(self, sizes: Sizes, active: Array, speed: Array) -> Array:
         """The w, shape (frames, n).
 
         Args:
@@ -73,7 +76,6 @@ class Criterion(NamedTuple):
 
 
 DEFAULT = Criterion()
-MOST_WITH_TRACKING = 3.0  # exponent beside a measured activation
 
 
 class Wishes(NamedTuple):
@@ -97,50 +99,6 @@ class Wishes(NamedTuple):
 
 
 NOTHING_SPECIAL = Wishes()
-
-
-@dataclass(frozen=True)
-class Shares:
-    """One row a frame.
-
-    Attributes:
-        frames: What muscles and reserves can exert.
-        needed: Force that the motion needs of each independent coordinate without muscles
-            [N·m or N], shape (frames, nv_y).
-        activation: Shape (frames, n).
-        force: Tension of each muscle [N], shape (frames, n).
-        reserve: Force of each reserve [N·m or N], shape (frames, r).
-        lacking: What is needed and not there [N·m or N], shape (frames, nv_y).
-        objective: Value of the cost, shape (frames,).
-        residual: Largest violation of the conditions of the optimum, shape (frames,).
-        is_feasible: Whether nothing lacks, shape (frames,).
-        effects: Force of the independent coordinates by full activations and by efforts of 1
-            [N·m or N], shape (frames, nv_y, n + r).
-        movable: Muscles and reserves that other optima have otherwise, by their place in `names`;
-            none where the optimum of the frame is unique.
-    """
-
-    frames: Frames
-    needed: Array
-    activation: Array
-    force: Array
-    reserve: Array
-    lacking: Array
-    objective: Array
-    residual: Array
-    is_feasible: Array
-    effects: Array
-    movable: tuple[tuple[int, ...], ...]
-
-    @cached_property
-    def rank(self) -> Array:
-        """Independent combinations of muscles and reserves, shape (frames,)."""
-        return np.asarray(np.linalg.matrix_rank(_scaled(self.effects), tol=SINGULAR))
-
-    @property
-    def null_space(self) -> Array:
-        """Dimension of activations and efforts that together exert nothing, shape (frames,)."""
-        return np.asarray(self.effects.shape[2] - self.rank)
 
 
 class StaticOptimization:
@@ -329,6 +287,13 @@ def check_wishes(muscles: Sequence[Muscle], wishes: Wishes) -> None:
         raise ModelError("static optimisation: rates of activation must be greater than 0")
 
 
+def sizes_of(muscles: Sequence[Muscle]) -> Sizes:
+    """Sizes of muscles."""
+    every = [muscle.contraction for muscle in muscles]
+    rows = [[c.peak, c.optimal, c.fastest] for c in every]
+    return Sizes(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
+
+
 class Sizes(NamedTuple):
     """Numbers of muscles, shape (n,) each.
 
@@ -343,11 +308,48 @@ class Sizes(NamedTuple):
     fastest: Array
 
 
-def sizes_of(muscles: Sequence[Muscle]) -> Sizes:
-    """Sizes of muscles."""
-    every = [muscle.contraction for muscle in muscles]
-    rows = [[c.peak, c.optimal, c.fastest] for c in every]
-    return Sizes(*np.array(rows, dtype=np.float64).reshape(-1, 3).T)
+@dataclass(frozen=True)
+class Shares:
+    """One row a frame.
+
+    Attributes:
+        frames: What muscles and reserves can exert.
+        needed: Force that the motion needs of each independent coordinate without muscles
+            [N·m or N], shape (frames, nv_y).
+        activation: Shape (frames, n).
+        force: Tension of each muscle [N], shape (frames, n).
+        reserve: Force of each reserve [N·m or N], shape (frames, r).
+        lacking: What is needed and not there [N·m or N], shape (frames, nv_y).
+        objective: Value of the cost, shape (frames,).
+        residual: Largest violation of the conditions of the optimum, shape (frames,).
+        is_feasible: Whether nothing lacks, shape (frames,).
+        effects: Force of the independent coordinates by full activations and by efforts of 1
+            [N·m or N], shape (frames, nv_y, n + r).
+        movable: Muscles and reserves that other optima have otherwise, by their place in `names`;
+            none where the optimum of the frame is unique.
+    """
+
+    frames: Frames
+    needed: Array
+    activation: Array
+    force: Array
+    reserve: Array
+    lacking: Array
+    objective: Array
+    residual: Array
+    is_feasible: Array
+    effects: Array
+    movable: tuple[tuple[int, ...], ...]
+
+    @cached_property
+    def rank(self) -> Array:
+        """Independent combinations of muscles and reserves, shape (frames,)."""
+        return np.asarray(np.linalg.matrix_rank(_scaled(self.effects), tol=SINGULAR))
+
+    @property
+    def null_space(self) -> Array:
+        """Dimension of activations and efforts that together exert nothing, shape (frames,)."""
+        return np.asarray(self.effects.shape[2] - self.rank)
 
 
 def _scaled(A: Array) -> Array:

@@ -5,6 +5,8 @@ of `trial_program`. Where activations between points are off by more than a tole
 are halved and solved again, with those beside them.
 """
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -41,22 +43,6 @@ _FLAT_ACCURACY = 0.1  # of that, where costs are flat at small excitations
 _MOST_ITERATIONS = 500
 _REFINEMENTS = 2  # of the mesh, at most
 _NAMED = 3  # worst places of a trial that cannot be produced
-
-
-class Shared(NamedTuple):
-    """A trial at the samples of its motion.
-
-    Attributes:
-        shares: As static optimisation gives them.
-        excitation: Shape (samples, n).
-        fiber_length: Of fibres beside elastic tendons [m], by muscle.
-        remarks: What was found, a line each.
-    """
-
-    shares: Shares
-    excitation: Array
-    fiber_length: dict[str, Array]
-    remarks: tuple[str, ...]
 
 
 def shared_trial(
@@ -106,12 +92,20 @@ def shared_trial(
     return _at_samples(solver, muscles, points, found, static, times, off)
 
 
-def graded(duration: float, count: int) -> Array:
-    """Ends of equal intervals, of which the first and the last are halved towards the ends."""
-    knots = np.linspace(0.0, duration, count + 1)
-    short = knots[1] * 0.5 ** np.arange(_HALVINGS, 0, -1)
-    found: Array = np.unique(np.concatenate((knots, short, duration - short)))
-    return found
+class Shared(NamedTuple):
+    """A trial at the samples of its motion.
+
+    Attributes:
+        shares: As static optimisation gives them.
+        excitation: Shape (samples, n).
+        fiber_length: Of fibres beside elastic tendons [m], by muscle.
+        remarks: What was found, a line each.
+    """
+
+    shares: Shares
+    excitation: Array
+    fiber_length: dict[str, Array]
+    remarks: tuple[str, ...]
 
 
 class Points(NamedTuple):
@@ -157,7 +151,7 @@ class Points(NamedTuple):
         interval, s = self._find(t)
         return np.einsum("tk,tki->ti", self.scheme.values(s), self._stacked(values)[interval])
 
-    def split(self, which: NDArray[np.bool_]) -> tuple["Points", NDArray[np.bool_]]:
+    def split(self, which: NDArray[np.bool_]) -> tuple[Points, NDArray[np.bool_]]:
         """With some intervals cut in two, and which of the new ones are near a cut."""
         middle = 0.5 * (self.knots[:-1] + self.knots[1:])[which]
         knots = np.sort(np.concatenate((self.knots, middle)))
@@ -165,7 +159,7 @@ class Points(NamedTuple):
         begins, ends = self.knots[:-1][which] - reach, self.knots[1:][which] + reach
         return Points(knots, self.scheme), ((inner > begins) & (inner < ends)).any(axis=1)
 
-    def at_starts(self, values: Array, finer: "Points") -> Array:
+    def at_starts(self, values: Array, finer: Points) -> Array:
         """What is given at starts of intervals, at those of finer ones."""
         columns = [np.interp(finer.knots[:-1], self.knots[:-1], one) for one in values.T]
         return np.stack(columns, axis=1)
@@ -177,6 +171,14 @@ class Points(NamedTuple):
         interval = np.clip(np.searchsorted(self.knots, t, "right") - 1, 0, len(self.knots) - 2)
         h = np.diff(self.knots)[interval]
         return interval, (t - self.knots[interval]) / h
+
+
+def graded(duration: float, count: int) -> Array:
+    """Ends of equal intervals, of which the first and the last are halved towards the ends."""
+    knots = np.linspace(0.0, duration, count + 1)
+    short = knots[1] * 0.5 ** np.arange(_HALVINGS, 0, -1)
+    found: Array = np.unique(np.concatenate((knots, short, duration - short)))
+    return found
 
 
 def known_at(

@@ -16,6 +16,8 @@ activation: without it muscles begin with whatever activation is of use.
 Source: F. De Groote et al., Ann. Biomed. Eng. 44, 2016, 2922-2936, doi:10.1007/s10439-016-1591-9.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -53,19 +55,6 @@ _NEAR_OPTIONS = {  # where the guess is nearly the optimum
     "bound_push": 1.0e-5,
     "bound_frac": 1.0e-5,
 }
-
-
-class Part(NamedTuple):
-    """What of a trial is solved.
-
-    Attributes:
-        solved: Which intervals, shape (intervals,); the others stay as they are.
-        slopes: What the cost of an interval and all after it gains by activations and lengths of
-            fibres at its start, shape (intervals, n + ne).
-    """
-
-    solved: NDArray[np.bool_]
-    slopes: Array
 
 
 class MuscleProgram:
@@ -182,6 +171,19 @@ class MuscleProgram:
         return np.tile(np.concatenate(parts), (self._points, 1))
 
 
+class Part(NamedTuple):
+    """What of a trial is solved.
+
+    Attributes:
+        solved: Which intervals, shape (intervals,); the others stay as they are.
+        slopes: What the cost of an interval and all after it gains by activations and lengths of
+            fibres at its start, shape (intervals, n + ne).
+    """
+
+    solved: NDArray[np.bool_]
+    slopes: Array
+
+
 def start_slopes(scheme: Collocation) -> Array:
     """What the rows of an interval gain by the state at its start, shape (degree,)."""
     slopes, sizes = _differences(scheme)
@@ -193,59 +195,6 @@ def _differences(scheme: Collocation) -> tuple[Array, Array]:
     """Slopes at the points by differences from the start, and the sizes of their rows."""
     slopes: Array = np.linalg.inv(scheme.A)
     return slopes, np.abs(slopes).sum(axis=1)
-
-
-# Where the unknowns of a trial of muscles stand in its program.
-class MuscleNumbers(NamedTuple):
-    """Numbers of unknowns: those of the start, then point by point in the order below.
-
-    Attributes:
-        degree: Points on an interval.
-        a_start: Of activations at the start, shape (n,).
-        fiber_start: Of lengths of fibres beside elastic tendons, shape (ne,).
-        a: At the points, shape (points, n).
-        e: Of excitations, same shape.
-        r: Of efforts of reserves, shape (points, r).
-        fiber: Of lengths of fibres, shape (points, ne).
-        speed: Of speeds of fibres, same shape.
-    """
-
-    degree: int
-    a_start: Places
-    fiber_start: Places
-    a: Places
-    e: Places
-    r: Places
-    fiber: Places
-    speed: Places
-
-    @classmethod
-    def of(cls, intervals: int, degree: int, n: int, r: int, ne: int) -> "MuscleNumbers":
-        """Of a trial with so many intervals, muscles, reserves and elastic tendons."""
-        each, first = 2 * n + r + 2 * ne, n + ne
-        every = first + np.arange(intervals * degree * each).reshape(-1, each)
-        parts = np.split(every, np.cumsum([n, n, r, ne]), axis=1)
-        return cls(degree, np.arange(n), np.arange(n, first), *parts)
-
-    def over_intervals(self, start: Places, points: Places, some: Sequence[int]) -> Places:
-        """Of some states, those at the start of each interval above those at its points.
-
-        Args:
-            start: At the start.
-            points: At the points.
-            some: Which columns.
-
-        Returns:
-            Shape (1 + degree, intervals * len(some)).
-        """
-        ends = points[self.degree - 1 : -1 : self.degree]
-        begins = np.concatenate((start[None], ends))[:, some]
-        return np.concatenate((begins.reshape(1, -1), self.at_points(points, some)))
-
-    def at_points(self, values: Array, some: Sequence[int]) -> Array:
-        """Of some columns those at the points, shape (degree, intervals * len(some))."""
-        found = values[:, some].reshape(-1, self.degree, len(some))
-        return found.transpose(1, 0, 2).reshape(self.degree, -1)
 
 
 class MuscleBlocks:
@@ -370,6 +319,59 @@ class MuscleBlocks:
         return Block("forces", force_form(pulls, kept), places, data, 0.0, 0.0, trial.sizes)
 
 
+# Where the unknowns of a trial of muscles stand in its program.
+class MuscleNumbers(NamedTuple):
+    """Numbers of unknowns: those of the start, then point by point in the order below.
+
+    Attributes:
+        degree: Points on an interval.
+        a_start: Of activations at the start, shape (n,).
+        fiber_start: Of lengths of fibres beside elastic tendons, shape (ne,).
+        a: At the points, shape (points, n).
+        e: Of excitations, same shape.
+        r: Of efforts of reserves, shape (points, r).
+        fiber: Of lengths of fibres, shape (points, ne).
+        speed: Of speeds of fibres, same shape.
+    """
+
+    degree: int
+    a_start: Places
+    fiber_start: Places
+    a: Places
+    e: Places
+    r: Places
+    fiber: Places
+    speed: Places
+
+    @classmethod
+    def of(cls, intervals: int, degree: int, n: int, r: int, ne: int) -> MuscleNumbers:
+        """Of a trial with so many intervals, muscles, reserves and elastic tendons."""
+        each, first = 2 * n + r + 2 * ne, n + ne
+        every = first + np.arange(intervals * degree * each).reshape(-1, each)
+        parts = np.split(every, np.cumsum([n, n, r, ne]), axis=1)
+        return cls(degree, np.arange(n), np.arange(n, first), *parts)
+
+    def over_intervals(self, start: Places, points: Places, some: Sequence[int]) -> Places:
+        """Of some states, those at the start of each interval above those at its points.
+
+        Args:
+            start: At the start.
+            points: At the points.
+            some: Which columns.
+
+        Returns:
+            Shape (1 + degree, intervals * len(some)).
+        """
+        ends = points[self.degree - 1 : -1 : self.degree]
+        begins = np.concatenate((start[None], ends))[:, some]
+        return np.concatenate((begins.reshape(1, -1), self.at_points(points, some)))
+
+    def at_points(self, values: Array, some: Sequence[int]) -> Array:
+        """Of some columns those at the points, shape (degree, intervals * len(some))."""
+        found = values[:, some].reshape(-1, self.degree, len(some))
+        return found.transpose(1, 0, 2).reshape(self.degree, -1)
+
+
 def price_form(exponent: float) -> Form:
     """Of x it gives w |x|^p; data: w."""
     x, weight = ca.SX.sym("x"), ca.SX.sym("w")
@@ -387,23 +389,6 @@ def slope_form() -> Form:
     """Of x it gives s x; data: s."""
     x, slope = ca.SX.sym("x"), ca.SX.sym("s")
     return Form(x, slope, ca.SX(0, 1), slope * x)
-
-
-def contraction_numbers(law: Contraction) -> list[float]:
-    """Data of `tendon_form` beside the length of the path."""
-    return [law.peak, law.optimal, law.slack, law.fastest, *law.pennation]
-
-
-class Pull(NamedTuple):
-    """How the tension of a muscle follows from its unknown.
-
-    Attributes:
-        law: Beside an elastic tendon, from the length of fibres; None: from the activation.
-        may_slacken: Whether a tension beside a rigid tendon may come out negative.
-    """
-
-    law: Contraction | None
-    may_slacken: bool
 
 
 def activation_form(dynamics: ActivationDynamics, scheme: Collocation, exponent: float) -> Form:
@@ -439,6 +424,11 @@ def fiber_form(scheme: Collocation) -> Form:
     return Form(ca.vertcat(l, v), known, _defects(scheme, l, known[0] * known[1] * v))
 
 
+def contraction_numbers(law: Contraction) -> list[float]:
+    """Data of `tendon_form` beside the length of the path."""
+    return [law.peak, law.optimal, law.slack, law.fastest, *law.pennation]
+
+
 def tendon_form(curves: Any) -> Form:
     """Balance of one tendon with its fibres, per peak force.
 
@@ -458,6 +448,18 @@ def tendon_form(curves: Any) -> Form:
 def _contraction(numbers: Any, curves: Any) -> Contraction:
     peak, optimal, slack, fastest, *geometry = (Scalar(one) for one in ca.vertsplit(numbers))
     return Contraction(peak, optimal, slack, fastest, Pennation(*geometry), curves)
+
+
+class Pull(NamedTuple):
+    """How the tension of a muscle follows from its unknown.
+
+    Attributes:
+        law: Beside an elastic tendon, from the length of fibres; None: from the activation.
+        may_slacken: Whether a tension beside a rigid tendon may come out negative.
+    """
+
+    law: Contraction | None
+    may_slacken: bool
 
 
 def force_form(pulls: Sequence[Pull], kept: NDArray[np.bool_]) -> Form:

@@ -1,5 +1,7 @@
 """Motions that show masses: `mbd-ros excite`."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator
 from typing import NamedTuple
 
@@ -24,37 +26,6 @@ _LONGER, _SHORTER = 1.2, 0.985  # factors of a step after success and failure
 _SHORTEST = 0.02  # step
 _HOPELESS = 1.0e12  # cost of a motion that breaks limits
 FIELDS = ("position", "velocity", "acceleration")
-
-
-class Excitation(NamedTuple):
-    """A motion that shows masses.
-
-    Attributes:
-        motion: It.
-        joints: Names, in its order.
-        condition: Condition number of the regressor of its base parameters, columns scaled.
-        random: That of the best of 200 random motions within the same limits.
-        remarks: Lines for people.
-    """
-
-    motion: Fourier
-    joints: tuple[str, ...]
-    condition: float
-    random: float
-    remarks: list[str]
-
-    def samples(self, rate: float, periods: int = 1) -> Result:
-        """Positions, velocities and accelerations as a result, `periods` times.
-
-        Args:
-            rate: Samples a second [Hz].
-            periods: How often.
-        """
-        t = np.arange(round(periods * self.motion.period * rate) + 1) / rate
-        columns = [Column("time", t, "s")]
-        for field, values in zip(FIELDS, self.motion.at(t), strict=True):
-            columns += [Column(f"{n}.{field}", values[:, i]) for i, n in enumerate(self.joints)]
-        return Result({"samples": Table(columns)})
 
 
 def excite(
@@ -99,6 +70,37 @@ def excite(
     )
     names = scene.couplings.independent
     return Excitation(motion, names, condition, at_random, remarks)
+
+
+class Excitation(NamedTuple):
+    """A motion that shows masses.
+
+    Attributes:
+        motion: It.
+        joints: Names, in its order.
+        condition: Condition number of the regressor of its base parameters, columns scaled.
+        random: That of the best of 200 random motions within the same limits.
+        remarks: Lines for people.
+    """
+
+    motion: Fourier
+    joints: tuple[str, ...]
+    condition: float
+    random: float
+    remarks: list[str]
+
+    def samples(self, rate: float, periods: int = 1) -> Result:
+        """Positions, velocities and accelerations as a result, `periods` times.
+
+        Args:
+            rate: Samples a second [Hz].
+            periods: How often.
+        """
+        t = np.arange(round(periods * self.motion.period * rate) + 1) / rate
+        columns = [Column("time", t, "s")]
+        for field, values in zip(FIELDS, self.motion.at(t), strict=True):
+            columns += [Column(f"{n}.{field}", values[:, i]) for i, n in enumerate(self.joints)]
+        return Result({"samples": Table(columns)})
 
 
 def _check(period: float, harmonics: int, share: float, evaluations: int) -> None:

@@ -6,6 +6,8 @@ what was learned from before and from the new trials; the network stays where it
 the new trials better than they do alone.
 """
 
+from __future__ import annotations
+
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -30,21 +32,6 @@ _BLOCKS = 5  # of time, each left out once
 _RANK, _HOLD = 2, 1.0e-3  # of matrices beside weights, and the penalty on them
 _AROUND = 0.5  # of the scales: how far states without a measurement lie from measured ones
 INFORMED = 0.3  # weight of the equations of motion beside the data
-
-
-class Choice(NamedTuple):
-    """What stands beside the corrections.
-
-    Attributes:
-        with_earlier: What the model was learned from before counts, too.
-        with_network: The network acts.
-    """
-
-    with_earlier: bool
-    with_network: bool
-
-
-_CHOICES = (Choice(True, False), Choice(True, True), Choice(False, False), Choice(False, True))
 
 
 def fit(
@@ -89,41 +76,6 @@ def require_torch() -> None:
             raise DataError(f"learning: {install_hint(module)}")
 
 
-def check_start(start: Learned, joints: tuple[str, ...], scene: Scene) -> None:
-    """Refuse to go on with a model of another robot, or of other joints.
-
-    Raises:
-        DataError: Names what differs.
-        ModelError: Names what differs.
-    """
-    check_robot("--start", start.about, scene.robot)
-    if start.about.joints != joints:
-        raise DataError(
-            f"--start: the model has joints {', '.join(start.about.joints)}, the recording has "
-            f"efforts of {', '.join(joints)}"
-        )
-    check_physics("--start", start.about, physics_beside(scene, start.about))
-
-
-def _about(scene: Scene, model: Learned, samples: Samples, start: Learned | None) -> About:
-    """What the model belongs to; an adapted one knows what it learned before, too."""
-    seen = np.hstack([samples.q, samples.v])
-    low, high = seen.min(axis=0), seen.max(axis=0)
-    if start is not None:
-        low, high = np.minimum(low, start.about.low), np.maximum(high, start.about.high)
-    wide = np.maximum(high - low, 1.0e-6 * max(float((high - low).max()), 1.0e-6))
-    middle = 0.5 * (low + high)
-    said = model.about._replace(
-        scene=scene.name.rpartition("/")[2],
-        low=middle - 0.5 * wide,
-        high=middle + 0.5 * wide,
-        robot=numbers_of(scene.robot),
-    )
-    said = said._replace(physics=physics_beside(scene, said))
-    columns = Columns(scene, said.joints, model.scales)
-    return columns.written(said, model.numbers) if model.numbers.any() else said
-
-
 def _new(
     scene: Scene, task: Task, joints: tuple[str, ...], samples: Samples, tell: Tell
 ) -> Learned:
@@ -158,7 +110,7 @@ def _new(
     return Learned(about, scales, weights, trust, known, columns.none())
 
 
-def collocation(samples: Samples, wanted: Array, random: np.random.Generator) -> "Collocation":
+def collocation(samples: Samples, wanted: Array, random: np.random.Generator) -> Collocation:
     """States around the measured ones, with what the equations of motion ask of them.
 
     Args:
@@ -180,24 +132,20 @@ def around(samples: Samples, random: np.random.Generator) -> Samples:
     return samples._replace(q=moved[0], v=moved[1], a=moved[2])
 
 
-def _all_weights(
-    columns: Columns, task: Task, samples: Samples, start: Learned, tell: Tell
-) -> Learned:
-    """All weights go on from where they are; few trials leave no block to stop on."""
-    from mbd_ros.features.identification.learn.network import Plan, network_of, said_by, train
+def check_start(start: Learned, joints: tuple[str, ...], scene: Scene) -> None:
+    """Refuse to go on with a model of another robot, or of other joints.
 
-    few, many = thinned(samples, MOST), thinned(samples, MANY)
-    network = network_of(start.about.kind, start.scales)
-    left = few.effort - few.physics - columns.torque(few, start.numbers)
-    wanted, around = left / start.scales.torque, None
-    if task.variant == "informed":
-        random = np.random.default_rng(task.seed)
-        around = collocation(few, np.zeros_like(wanted), random)
-    plan = Plan(task.rounds, seed=task.seed, rate=task.rate, leaves_out=False)
-    weights, _ = train(network, start.weights, few, wanted, plan, around, tell)
-    said = said_by(network, weights, many)
-    known = start.known.and_also(columns.known(many, said))
-    return start._replace(weights=weights, trust=np.ones_like(start.trust), known=known)
+    Raises:
+        DataError: Names what differs.
+        ModelError: Names what differs.
+    """
+    check_robot("--start", start.about, scene.robot)
+    if start.about.joints != joints:
+        raise DataError(
+            f"--start: the model has joints {', '.join(start.about.joints)}, the recording has "
+            f"efforts of {', '.join(joints)}"
+        )
+    check_physics("--start", start.about, physics_beside(scene, start.about))
 
 
 def adapt(columns: Columns, task: Task, samples: Samples, start: Learned, tell: Tell) -> Learned:
@@ -240,14 +188,27 @@ def _chosen(columns: Columns, start: Learned, many: Samples, said: Array) -> Cho
             squares[i] = np.square(error / start.known.usual).sum()
         return squares
 
-    best, least = _CHOICES[0], unseen(_CHOICES[0])
-    for choice in _CHOICES[1:]:
+    best = Choice(with_earlier=True, with_network=False)
+    least = unseen(best)
+    for choice in (Choice(True, True), Choice(False, False), Choice(False, True)):
         if choice.with_network and not start.trust.any():
             continue
         squares = unseen(choice)
         if is_better(squares, least):
             best, least = choice, squares
     return best
+
+
+class Choice(NamedTuple):
+    """What stands beside the corrections.
+
+    Attributes:
+        with_earlier: What the model was learned from before counts, too.
+        with_network: The network acts.
+    """
+
+    with_earlier: bool
+    with_network: bool
 
 
 def _beside(
@@ -264,3 +225,42 @@ def _beside(
     wanted = wanted / model.scales.torque
     weights, _ = train(network, model.weights, few, wanted, plan, None, tell)
     return weights
+
+
+def _all_weights(
+    columns: Columns, task: Task, samples: Samples, start: Learned, tell: Tell
+) -> Learned:
+    """All weights go on from where they are; few trials leave no block to stop on."""
+    from mbd_ros.features.identification.learn.network import Plan, network_of, said_by, train
+
+    few, many = thinned(samples, MOST), thinned(samples, MANY)
+    network = network_of(start.about.kind, start.scales)
+    left = few.effort - few.physics - columns.torque(few, start.numbers)
+    wanted, around = left / start.scales.torque, None
+    if task.variant == "informed":
+        random = np.random.default_rng(task.seed)
+        around = collocation(few, np.zeros_like(wanted), random)
+    plan = Plan(task.rounds, seed=task.seed, rate=task.rate, leaves_out=False)
+    weights, _ = train(network, start.weights, few, wanted, plan, around, tell)
+    said = said_by(network, weights, many)
+    known = start.known.and_also(columns.known(many, said))
+    return start._replace(weights=weights, trust=np.ones_like(start.trust), known=known)
+
+
+def _about(scene: Scene, model: Learned, samples: Samples, start: Learned | None) -> About:
+    """What the model belongs to; an adapted one knows what it learned before, too."""
+    seen = np.hstack([samples.q, samples.v])
+    low, high = seen.min(axis=0), seen.max(axis=0)
+    if start is not None:
+        low, high = np.minimum(low, start.about.low), np.maximum(high, start.about.high)
+    wide = np.maximum(high - low, 1.0e-6 * max(float((high - low).max()), 1.0e-6))
+    middle = 0.5 * (low + high)
+    said = model.about._replace(
+        scene=scene.name.rpartition("/")[2],
+        low=middle - 0.5 * wide,
+        high=middle + 0.5 * wide,
+        robot=numbers_of(scene.robot),
+    )
+    said = said._replace(physics=physics_beside(scene, said))
+    columns = Columns(scene, said.joints, model.scales)
+    return columns.written(said, model.numbers) if model.numbers.any() else said

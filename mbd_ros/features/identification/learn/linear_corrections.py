@@ -7,6 +7,8 @@ that its torque is 0, with a deviation that makes what was measured most likely.
 Source: D. MacKay, Neural Computation 4, 1992, 415 (evidence of a prior).
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -27,25 +29,6 @@ _FIRST = 0.05  # of the usual torque: deviation of what is measured, before the 
 _ALIKE = 0.98  # the largest correlation of neighbours
 _ROUNDS = 3  # deviations follow from the fit, and the fit from them
 _SMALLEST = 0.1  # of the inertia of a motion: what is left of it at least
-
-
-class Known(NamedTuple):
-    """What samples say of linear numbers.
-
-    Attributes:
-        triangle: Of each joint R of [columns, torque, torque of the network], shape (m, k, k).
-        count: Independent samples of each joint, shape (m,).
-        usual: Root mean square of the efforts [N·m or N], shape (m,).
-    """
-
-    triangle: Array
-    count: Array
-    usual: Array
-
-    def and_also(self, other: "Known") -> "Known":
-        """What both say; sizes are those of the first."""
-        both = np.concatenate([self.triangle, other.triangle], axis=1)
-        return Known(np.linalg.qr(both, mode="r"), self.count + other.count, self.usual)
 
 
 class Columns:
@@ -144,6 +127,25 @@ class Columns:
             least = min(least, float(np.linalg.eigvalsh(0.5 * (turned + turned.T))[0]))
         found[:r] *= min(1.0, (1.0 - _SMALLEST) / max(-least, 1.0e-300))
         return found
+
+
+class Known(NamedTuple):
+    """What samples say of linear numbers.
+
+    Attributes:
+        triangle: Of each joint R of [columns, torque, torque of the network], shape (m, k, k).
+        count: Independent samples of each joint, shape (m,).
+        usual: Root mean square of the efforts [N·m or N], shape (m,).
+    """
+
+    triangle: Array
+    count: Array
+    usual: Array
+
+    def and_also(self, other: Known) -> Known:
+        """What both say; sizes are those of the first."""
+        both = np.concatenate([self.triangle, other.triangle], axis=1)
+        return Known(np.linalg.qr(both, mode="r"), self.count + other.count, self.usual)
 
 
 def _independent(known: Known, rows: Array) -> Array:

@@ -1,5 +1,7 @@
 """What a gripper holds: `mbd-ros payload`."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -28,36 +30,6 @@ from mbd_ros.scene.built_scene import Scene
 
 _SIZE = 0.05  # m: radius of gyration of a payload before anything is known of it
 _BESIDE = ("offset", "coulomb")  # what a known robot may have besides its own friction
-
-
-class Payload(NamedTuple):
-    """What is fixed to a link.
-
-    Attributes:
-        frame: The link.
-        inertia: `pinocchio.Inertia` in the axes of the link; a body of positive density.
-        deviation: Standard deviations of mass [kg] and mass centre [m], shape (4,).
-        numbers: The ten numbers about the origin of the link by least squares, shape (10,).
-        covariance: Of them, shape (10, 10).
-        remarks: Lines for people.
-    """
-
-    frame: str
-    inertia: Any
-    deviation: Array
-    numbers: Array
-    covariance: Array
-    remarks: list[str]
-
-    def table(self) -> Result:
-        """A number a row: name, value, deviation, unit."""
-        body, sigma = self.inertia, np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        names = ["mass", "cx", "cy", "cz", *(f"{self.frame}.{p}" for p in PLACES[4:])]
-        values = [body.mass, *body.lever, *self.inertia.toDynamicParameters()[4:]]
-        units = ["kg", "m", "m", "m", *["kg·m^2"] * 6]
-        scatter = [*self.deviation, *sigma[4:]]
-        columns = [("name", names), ("value", values), ("deviation", scatter), ("unit", units)]
-        return Result({"samples": Table([Column(n, np.array(v)) for n, v in columns])})
 
 
 def payload(
@@ -112,6 +84,36 @@ def payload(
     return _payload(found, nothing, carrier, tell)._replace(remarks=remarks)
 
 
+class Payload(NamedTuple):
+    """What is fixed to a link.
+
+    Attributes:
+        frame: The link.
+        inertia: `pinocchio.Inertia` in the axes of the link; a body of positive density.
+        deviation: Standard deviations of mass [kg] and mass centre [m], shape (4,).
+        numbers: The ten numbers about the origin of the link by least squares, shape (10,).
+        covariance: Of them, shape (10, 10).
+        remarks: Lines for people.
+    """
+
+    frame: str
+    inertia: Any
+    deviation: Array
+    numbers: Array
+    covariance: Array
+    remarks: list[str]
+
+    def table(self) -> Result:
+        """A number a row: name, value, deviation, unit."""
+        body, sigma = self.inertia, np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        names = ["mass", "cx", "cy", "cz", *(f"{self.frame}.{p}" for p in PLACES[4:])]
+        values = [body.mass, *body.lever, *self.inertia.toDynamicParameters()[4:]]
+        units = ["kg", "m", "m", "m", *["kg·m^2"] * 6]
+        scatter = [*self.deviation, *sigma[4:]]
+        columns = [("name", names), ("value", values), ("deviation", scatter), ("unit", units)]
+        return Result({"samples": Table([Column(n, np.array(v)) for n, v in columns])})
+
+
 def carrier_of(scene: Scene, frame: str | None) -> tuple[str, int]:
     """Link, and the place of its body among those that move.
 
@@ -133,14 +135,6 @@ def carrier_of(scene: Scene, frame: str | None) -> tuple[str, int]:
     if joint == 0:
         raise DataError(f"--frame {frame}: this link does not move")
     return frame, joint - 1
-
-
-class _Found(NamedTuple):
-    """Numbers in the axes of the link: by least squares, their covariance, of a body."""
-
-    numbers: Array
-    covariance: Array
-    body: Array
 
 
 def _fitted(scene: Scene, task: Task, place: int, frame: str, say: Say) -> _Found:
@@ -167,6 +161,14 @@ def _fitted(scene: Scene, task: Task, place: int, frame: str, say: Say) -> _Foun
     B = moved_numbers(model.frames[problem.scene.robot.frame(frame)].placement.inverse())
     body = _body(problem, found, own, B)
     return _Found(B @ numbers, B @ covariance @ B.T, body)
+
+
+class _Found(NamedTuple):
+    """Numbers in the axes of the link: by least squares, their covariance, of a body."""
+
+    numbers: Array
+    covariance: Array
+    body: Array
 
 
 def _friction(scene: Scene) -> Sequence[dict[str, Any]]:
