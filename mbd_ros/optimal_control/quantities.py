@@ -349,7 +349,7 @@ class Quantity(NamedTuple):
 
 
 def stops(phase: PhaseEquations) -> list[Quantity]:
-    """Gaps of stops, ropes and contacts that give way, which a motion keeps open.
+    """Gaps of unilateral stops, ropes and contacts, which a motion keeps open.
 
     Raises:
         ModelError: Names a part whose force jumps otherwise.

@@ -178,7 +178,7 @@ class CompiledMethod(NativeMethod):
 
 
 def _modes(system: Any, traced: Traced) -> dict[str, int]:
-    """What a source has to know of rows that give way at events."""
+    """What a source has to know of unilateral rows."""
     if not traced.switches:
         return {}
     reach = system.exact.reach

@@ -80,7 +80,7 @@ def _traced(system: System) -> Traced:
 
 
 def refuse_bounds(system: System) -> None:
-    """Refuse rows that give way.
+    """Refuse unilateral and bounded rows.
 
     Raises:
         Untraceable: There are some.

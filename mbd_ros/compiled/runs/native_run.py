@@ -305,7 +305,7 @@ class NativeRun(RunMemory):
         return found, self._written.value
 
     def switch(self, mode: Sequence[int]) -> None:
-        """Go on in another mode of rows that give way; nothing of earlier steps holds in it."""
+        """Go on in another mode of unilateral rows; nothing of earlier steps holds in it."""
         self._p[len(self._p) - self.sizes.modes :] = mode[: self.sizes.modes]
         self._c.leave(self._r)
 

@@ -55,7 +55,7 @@ class Sizes(NamedTuple):
         is_projected: Whether every step is followed by a projection onto the rows.
         is_rattle: Whether the method is RATTLE.
         np: Parameters.
-        modes: Rows that give way at events, whose modes stand behind the parameters.
+        modes: Unilateral rows, whose modes stand behind the parameters.
         answers: Margins of their forces.
         gaps: How many of them are gaps.
         stays: How many have a rate that is none where they are on.

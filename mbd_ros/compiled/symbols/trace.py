@@ -60,7 +60,7 @@ def trace(
 
     Args:
         parameters: Names of numbers that stay arguments.
-        mode: Of rows that give way at events, as `State.mode`; needed where there are any. None
+        mode: Of unilateral rows, as `State.mode`; needed where there are any. None
             for all modes at once: p ends with the mode then.
         made: Makes parts from symbols by parameter: name -> part; see `scene.runs.compiling`.
         in_world: Whether velocities of free bodies stand in the axes of the world, for functions
@@ -92,10 +92,10 @@ class Traced:
     residual(t, q, v, z, u, p, a, lam): what the equations of motion leave, lam of rows that act.
     balance(t, q, v, z, u, p, a, lam) -> (tau - h - M a + J' lam, zdot), and
     balance_slopes(the same) -> of both, stacked, by steps of q, by v and by z.
-    guards(t, q, v, z, u, p) -> margins of rows that give way in the mode, as `margins` lists them,
+    guards(t, q, v, z, u, p) -> margins of unilateral rows in the mode, as `margins` lists them,
     then the values of the guards of parts.
     heights(t, q, v, p) -> (margins, rates, spans, names), answers(t, q, v, z, u, p, a, lam) ->
-    (margins, rates, length) of rows that give way, in all modes: margins of heights and slips, and
+    (margins, rates, length) of unilateral rows, in all modes: margins of heights and slips, and
     of multipliers, positive while a mode goes on. Names are 0 where a slip should have another
     one, 2 where one turns with its velocity: length [s] is how long a step may be then. `a` and
     `lam` are those of `accelerate`, which gives `lam` as its fourth result then.
