@@ -49,7 +49,7 @@ def solids_of_scene(scene: Scene) -> tuple[list[Solid], list[str]]:
     sides = {id(side): side for pair in pairs for side in pair.between}
     for side in sides.values():
         if side.frame not in seen:
-            solids += _solids(scene.robot, side)
+            solids += _contact_solids(scene.robot, side)
     reach = max((float(np.abs(s.surface.vertices).max()) for s in solids), default=1.0)
     for plane in _planes(scene.robot, sides.values()):
         plate = surfaces.box([_PLATE * reach, _PLATE * reach, 1.0e-3 * reach])
@@ -59,10 +59,10 @@ def solids_of_scene(scene: Scene) -> tuple[list[Solid], list[str]]:
     return solids, lacking
 
 
-def _solids(robot: Robot, side: Side) -> Iterator[Solid]:
+def _contact_solids(robot: Robot, side: Side) -> Iterator[Solid]:
     for shape in side.shapes:
         place = robot.places.points[shape.at.number]
-        for surface in _surfaces(shape):
+        for surface in _contact_surfaces(shape):
             yield Solid(side.frame, place.joint, moved(surface, place.at), _TOUCHING)
         if place.joint:
             for centre in _centres(shape, place.at):
@@ -70,7 +70,7 @@ def _solids(robot: Robot, side: Side) -> Iterator[Solid]:
                     yield Solid(side.frame, place.joint, surfaces.bone(centre, _THIN), BONE)
 
 
-def _surfaces(shape: Any) -> Iterator[Surface]:
+def _contact_surfaces(shape: Any) -> Iterator[Surface]:
     """Of shapes that have some."""
     if isinstance(shape, shapes.Sphere) and shape.radius > 0.0:
         yield surfaces.sphere(shape.radius)
@@ -195,12 +195,12 @@ def _visuals(link: _Link, colours: dict[str, Any]) -> tuple[list[Solid], list[st
     solids, faults = list[Solid](), list[str]()
     if link.recipe.shape is not None:
         shape = Collision(*link.recipe.shape, [0.0] * 3, [0.0] * 3)
-        return [_placed(link, shape, _surface(shape, link.name), GREY)], faults
+        return [_placed(link, shape, _visual_surface(shape, link.name), GREY)], faults
     for i, element in enumerate(link.element.findall("visual")):
         where = f"{link.recipe.source}: {link.name}: <visual> {i}"
         try:
             shape = geometry_of(link.recipe, _beside_its_package(link.recipe, element), where)
-            surface = _surface(shape, where)
+            surface = _visual_surface(shape, where)
         except SceneError as error:
             faults.append(_once(element, str(error)))
             continue
@@ -213,7 +213,7 @@ def _placed(link: _Link, shape: Collision, surface: Surface, colour: Any) -> Sol
     return Solid(link.name, link.joint, moved(surface, at), colour)
 
 
-def _surface(shape: Collision, where: str) -> Surface:
+def _visual_surface(shape: Collision, where: str) -> Surface:
     """Triangles of a geometry."""
     if shape.kind == "box":
         return surfaces.box(shape.size)
