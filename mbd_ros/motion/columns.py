@@ -1,5 +1,7 @@
 """Columns of joints, free bodies and rows, and the axes they were recorded in."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from itertools import permutations, product
 from typing import Any
@@ -17,16 +19,14 @@ from mbd_ros.files.laboratory.markers import SCREEN
 from mbd_ros.files.table import Column
 from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic
 
-# ---- columns ----------------------------------------------------------------------------------
-# Columns of joints, free bodies and rows, and topics of a bag that hold them.
-
-
 _UNITS = {  # quantity -> of a joint that turns, of one that slides
     "position": ("rad", "m"),
     "velocity": ("rad/s", "m/s"),
     "acceleration": ("rad/s^2", "m/s^2"),
 }
 _EFFORT = ("N·m", "N")
+_AS_RECORDED = "x,y,z"
+_ACCEPTED = "accepted: three of x, y, z, -x, -y, -z, as x,z,-y, or screen"
 
 
 def joint_columns(joints: Sequence[Joint], quantity: str, values: Array) -> list[Column]:
@@ -84,11 +84,6 @@ def carried_columns(robot: Robot, residual: Array) -> list[Column]:
     return [c for base, part in pairs for c in residual_columns(base.name, base.frame, part)]
 
 
-def body_topics(robot: Robot) -> dict[str, Any]:
-    """Topics of a bag with the motion of free bodies, see `files.bags.bag_writer`."""
-    return {f"/{odometry_topic(base.name)}": {"body": base.name} for base in robot.bases}
-
-
 def state_topics(robot: Robot, quantities: Sequence[str]) -> dict[str, Any]:
     """Topics of a bag with joint states, one a robot, see `files.bags.bag_writer`.
 
@@ -142,12 +137,9 @@ def command_columns(names: Sequence[str], commands: Array) -> list[Column]:
     return [Column(f"{name}.command", column) for name, column in pairs]
 
 
-# ---- recorded axes ----------------------------------------------------------------------------
-# Axes of a recording, written as `x,z,-y`: the recorded axis along each axis of the scene.
-
-
-_AS_RECORDED = "x,y,z"
-_ACCEPTED = "accepted: three of x, y, z, -x, -y, -z, as x,z,-y, or screen"
+def body_topics(robot: Robot) -> dict[str, Any]:
+    """Topics of a bag with the motion of free bodies, see `files.bags.bag_writer`."""
+    return {f"/{odometry_topic(base.name)}": {"body": base.name} for base in robot.bases}
 
 
 def axes_matrix(where: str, axes: str, screen: Sequence[str] = ()) -> Array:
@@ -175,23 +167,6 @@ def axes_matrix(where: str, axes: str, screen: Sequence[str] = ()) -> Array:
     return rows
 
 
-def other_axes() -> Iterator[tuple[str, Array]]:
-    """All turns by right angles but none, with their matrices."""
-    for order, signs in product(permutations("xyz"), product(("", "-"), repeat=3)):
-        names = [sign + axis for sign, axis in zip(signs, order, strict=True)]
-        rows, axes = _rows(names), ",".join(names)
-        if axes != _AS_RECORDED and np.linalg.det(rows) > 0.0:
-            yield axes, rows
-
-
-def _rows(names: Sequence[str]) -> Array:
-    """A unit vector a name."""
-    rows = np.zeros((3, 3))
-    for i, name in enumerate(names):
-        rows[i, "xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
-    return rows
-
-
 def _right_handed(where: str, screen: Sequence[str]) -> str:
     """Three axes, the last one square to what a screen shows."""
     names = [name.strip().lower().removeprefix("+") for name in screen]
@@ -202,3 +177,20 @@ def _right_handed(where: str, screen: Sequence[str]) -> str:
     last = rest.pop()
     sign = "" if np.linalg.det(_rows([*names, last])) > 0.0 else "-"
     return ",".join([*names, sign + last])
+
+
+def _rows(names: Sequence[str]) -> Array:
+    """A unit vector a name."""
+    rows = np.zeros((3, 3))
+    for i, name in enumerate(names):
+        rows[i, "xyz".index(name[-1])] = -1.0 if name.startswith("-") else 1.0
+    return rows
+
+
+def other_axes() -> Iterator[tuple[str, Array]]:
+    """All turns by right angles but none, with their matrices."""
+    for order, signs in product(permutations("xyz"), product(("", "-"), repeat=3)):
+        names = [sign + axis for sign, axis in zip(signs, order, strict=True)]
+        rows, axes = _rows(names), ",".join(names)
+        if axes != _AS_RECORDED and np.linalg.det(rows) > 0.0:
+            yield axes, rows

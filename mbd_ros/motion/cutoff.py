@@ -7,6 +7,8 @@ may end again (a recording that was resampled), so the lowest frequency counts f
 stays flat for a while and after which no motion comes up.
 """
 
+from __future__ import annotations
+
 import functools
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -18,10 +20,6 @@ from mbd_ros.core.state import Array
 from mbd_ros.methods.signals.smoothing_spline import HIGHEST, rate_of, response
 from mbd_ros.methods.signals.spectrum import FEWEST_TELLING, Spectrum, spectrum
 from mbd_ros.methods.signals.spline_basis import product
-
-# ---- cutoff -----------------------------------------------------------------------------------
-# Where motion ends and noise begins: the cut-off frequency that a recording asks for.
-
 
 LOWEST = 2.0  # Hz: below, even a poor encoder gives no acceleration worth mentioning
 _RATIO = np.sqrt(2.0)  # from band to band
@@ -37,28 +35,7 @@ _FIRST = 1000  # differences
 _AT_END = 3.49, 1.053  # of positions and velocities: the low-pass of t^4 / 4! on a grid
 _EXACT = 1.0e-14  # noise per largest value that is rounding of numbers
 _GENEROUS = 2.0  # times the least expected square error: motion lost is worse than noise left
-
-
-class Bands(NamedTuple):
-    """Signals split at k frequencies.
-
-    Attributes:
-        cutoff: Lower ends of the bands [Hz], shape (k,).
-        density: P in each [rad^2/Hz or m^2/Hz], shape (k, m).
-        acceleration: Mean square of the accelerations [rad^2/s^4 or m^2/s^4], shape (k, m).
-        width: Of each band [Hz], shape (k,).
-        gain: Acceleration in each from noise of density 1 [1/s^4 Hz], shape (k,).
-        order: 0 of positions, 1 of velocities.
-        span: Of a piece that they are from [s].
-    """
-
-    cutoff: Array
-    density: Array
-    acceleration: Array
-    width: Array
-    gain: Array
-    order: int
-    span: float
+_FEW = 256  # samples in which noise may hide
 
 
 def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
@@ -85,19 +62,6 @@ def cutoffs(pieces: Sequence[tuple[Array, Array]], order: int) -> Array:
     return np.minimum(best, np.maximum(_RENEWED * fresh, LOWEST))
 
 
-def _column(pieces: Sequence[tuple[Array, Array]], k: int) -> Array:
-    """A signal in all pieces; few are needed as a whole."""
-    return np.concatenate([values[:, k] for _, values in pieces])
-
-
-def _frequencies(times: Array) -> Array:
-    """From a quarter of a period in the recording to where smoothing ends."""
-    lowest, highest = 0.25 / (times[-1] - times[0]), HIGHEST * rate_of(times)
-    count = max(int(np.ceil(np.log(highest / lowest) / np.log(_RATIO))), 1)
-    frequencies: Array = lowest * _RATIO ** np.arange(count)
-    return frequencies
-
-
 def _bands(found: Spectrum, order: int, cutoff: Array) -> Bands:
     """The part that the low-pass of a cut-off does not pass and that of the next does."""
     turn = np.square(2.0 * np.pi * found.frequency)
@@ -114,33 +78,39 @@ def _bands(found: Spectrum, order: int, cutoff: Array) -> Bands:
     return Bands(cutoff, density, force, width, gain, order, found.span)
 
 
-def _step(signal: Array) -> float:
-    """Resolution of a signal that only takes multiples of a step; 0 for any other."""
-    steps = np.diff(np.sort(signal))
-    steps = steps[steps > 1e-9 * np.ptp(signal)]
-    few = len(steps) < 8
-    if len(steps) == 0 or (few and len(signal) < _HELD * (len(steps) + 1)):
-        return 0.0
-    step = float(steps.min())
-    for some in (steps[:_FIRST], steps[_FIRST:]):  # most signals are found out by few
-        multiples = some / step
-        if np.abs(multiples - np.rint(multiples)).max(initial=0.0) >= 0.02:
-            return 0.0
-    return step
+class Bands(NamedTuple):
+    """Signals split at k frequencies.
 
-
-def _renewals(signal: Array) -> float:
-    """How often a signal that changes has a new value, per sample; inf where each is new.
-
-    A joint that rests in between does not repeat samples: most runs of equal samples count, not
-    most samples.
+    Attributes:
+        cutoff: Lower ends of the bands [Hz], shape (k,).
+        density: P in each [rad^2/Hz or m^2/Hz], shape (k, m).
+        acceleration: Mean square of the accelerations [rad^2/s^4 or m^2/s^4], shape (k, m).
+        width: Of each band [Hz], shape (k,).
+        gain: Acceleration in each from noise of density 1 [1/s^4 Hz], shape (k,).
+        order: 0 of positions, 1 of velocities.
+        span: Of a piece that they are from [s].
     """
-    changes = np.flatnonzero(np.diff(signal))
-    if len(changes) == len(signal) - 1:
-        return np.inf
-    runs = np.diff(changes)
-    usual = float(np.median(runs)) if len(runs) else 1.0
-    return 1.0 / usual if usual > 1.0 else np.inf
+
+    cutoff: Array
+    density: Array
+    acceleration: Array
+    width: Array
+    gain: Array
+    order: int
+    span: float
+
+
+def _frequencies(times: Array) -> Array:
+    """From a quarter of a period in the recording to where smoothing ends."""
+    lowest, highest = 0.25 / (times[-1] - times[0]), HIGHEST * rate_of(times)
+    count = max(int(np.ceil(np.log(highest / lowest) / np.log(_RATIO))), 1)
+    frequencies: Array = lowest * _RATIO ** np.arange(count)
+    return frequencies
+
+
+def _column(pieces: Sequence[tuple[Array, Array]], k: int) -> Array:
+    """A signal in all pieces; few are needed as a whole."""
+    return np.concatenate([values[:, k] for _, values in pieces])
 
 
 def _best(bands: Bands, column: int, signal: Callable[[], Array]) -> float:
@@ -161,19 +131,6 @@ def _best(bands: Bands, column: int, signal: Callable[[], Array]) -> float:
     error += _lost_at_ends(bands, lost)
     best = bands.cutoff[np.flatnonzero(error <= _GENEROUS * error.min())[-1]]
     return max(float(best), LOWEST)
-
-
-def _lost_at_ends(bands: Bands, lost: Array) -> Array:
-    """Mean square of the accelerations that a cut-off loses about both ends, shape (k,).
-
-    There a smoothing spline has no derivatives from the fourth on. What a signal with the fourth
-    derivative y4 loses decays within a period; the integral of its square is
-    factor * y4^2 / (2 pi f)^(5 + 2 order).
-    """
-    order, turn = bands.order, 2.0 * np.pi * bands.cutoff
-    y4 = lost @ turn ** (4 + 2 * order)  # mean square
-    both: Array = 2.0 * _AT_END[order] * y4 / turn ** (5 + 2 * order) / bands.span
-    return both
 
 
 def _first_of_noise(bands: Bands, density: Array, signal: Callable[[], Array]) -> int | None:
@@ -209,11 +166,46 @@ def _is_flat(rising: NDArray[np.float64]) -> bool:
     return bool((rising[1:] > rising[0]).all() and rising[-1] > _RISE * rising[0])
 
 
-# ---- cutoff lines -----------------------------------------------------------------------------
-# What is said of the low-pass of a motion.
+def _step(signal: Array) -> float:
+    """Resolution of a signal that only takes multiples of a step; 0 for any other."""
+    steps = np.diff(np.sort(signal))
+    steps = steps[steps > 1e-9 * np.ptp(signal)]
+    few = len(steps) < 8
+    if len(steps) == 0 or (few and len(signal) < _HELD * (len(steps) + 1)):
+        return 0.0
+    step = float(steps.min())
+    for some in (steps[:_FIRST], steps[_FIRST:]):  # most signals are found out by few
+        multiples = some / step
+        if np.abs(multiples - np.rint(multiples)).max(initial=0.0) >= 0.02:
+            return 0.0
+    return step
 
 
-_FEW = 256  # samples in which noise may hide
+def _lost_at_ends(bands: Bands, lost: Array) -> Array:
+    """Mean square of the accelerations that a cut-off loses about both ends, shape (k,).
+
+    There a smoothing spline has no derivatives from the fourth on. What a signal with the fourth
+    derivative y4 loses decays within a period; the integral of its square is
+    factor * y4^2 / (2 pi f)^(5 + 2 order).
+    """
+    order, turn = bands.order, 2.0 * np.pi * bands.cutoff
+    y4 = lost @ turn ** (4 + 2 * order)  # mean square
+    both: Array = 2.0 * _AT_END[order] * y4 / turn ** (5 + 2 * order) / bands.span
+    return both
+
+
+def _renewals(signal: Array) -> float:
+    """How often a signal that changes has a new value, per sample; inf where each is new.
+
+    A joint that rests in between does not repeat samples: most runs of equal samples count, not
+    most samples.
+    """
+    changes = np.flatnonzero(np.diff(signal))
+    if len(changes) == len(signal) - 1:
+        return np.inf
+    runs = np.diff(changes)
+    usual = float(np.median(runs)) if len(runs) else 1.0
+    return 1.0 / usual if usual > 1.0 else np.inf
 
 
 def cutoff_lines(cutoff: Array, names: Sequence[str], chosen: bool, samples: int) -> Iterator[str]:

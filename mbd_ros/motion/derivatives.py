@@ -1,5 +1,7 @@
 """Samples of a recorded motion with velocity and acceleration."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -24,60 +26,6 @@ from mbd_ros.files.body_columns import names_of
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations, Tuning
 from mbd_ros.methods.signals.differentiation import local_polynomials
 from mbd_ros.scene.built_scene import Scene
-
-# Free bodies of a recording as signals that are filtered without lag.
-
-
-class BodySignals:
-    """Each body as the seven numbers of its pose, then its twist where that is measured.
-
-    A rotation is followed by the numbers of its quaternion, whose length counts out afterwards: a
-    low-pass mixes no axes and needs no chart. A measured twist is differentiated as it is.
-
-    Args:
-        bodies: Their motion; a twist with a gap counts as not measured.
-
-    Attributes:
-        names: Of the signals.
-        position: Signals, 0 in place of the integral of a twist, shape (n, m).
-        velocity: Their rates, NaN where not measured, same shape.
-    """
-
-    def __init__(self, bodies: Sequence[BodyMotion]) -> None:
-        self._bodies = bodies
-        self.names: list[str] = []
-        positions, velocities = [], []
-        for body in bodies:
-            twist, rate = _measured(body), np.full_like(body.pose, np.nan)
-            self.names += names_of(body.name, POSE_WORDS)
-            if twist is not None:
-                rate = rate_of(body.pose, twist)
-                self.names += names_of(body.name, TWIST_WORDS)
-            positions += [body.pose] + [np.zeros_like(t) for t in (twist,) if t is not None]
-            velocities += [rate] + [t for t in (twist,) if t is not None]
-        self.position, self.velocity = np.hstack(positions), np.hstack(velocities)
-
-    def motions(self, position: Array, velocity: Array, acceleration: Array) -> list[BodyMotion]:
-        """Motion of the bodies from the filtered signals and their derivatives, shape (n, m)."""
-        found, at = [], 0
-        for body in self._bodies:
-            pose = slice(at, at + POSE)
-            q, rate, second = position[:, pose], velocity[:, pose], acceleration[:, pose]
-            at += POSE
-            if _measured(body) is None:
-                twist, push = twist_of(q, rate), acceleration_of(q, rate, second)
-            else:
-                own = slice(at, at + TWIST)
-                twist, push = velocity[:, own], acceleration[:, own]
-                at += TWIST
-            found.append(BodyMotion(body.name, q, twist, push))
-        return found
-
-
-def _measured(body: BodyMotion) -> Array | None:
-    """Its twist where every sample has one."""
-    return None if body.twist is None or np.isnan(body.twist).any() else body.twist
-
 
 OPENSIM = "opensim"
 GAIT = 6.0  # Hz: what laboratories of gait take, and the set-ups of OpenSim's own examples
@@ -109,20 +57,6 @@ class Derivatives(NamedTuple):
         """Half-power frequency of a pass of OpenSim's filter [Hz]; None without a filter."""
         cutoff = GAIT if self.cutoff is None else self.cutoff
         return None if cutoff == math.inf else cutoff
-
-
-class Differentiated(NamedTuple):
-    """Samples of the independent coordinates, and their origin.
-
-    Attributes:
-        samples: The samples.
-        cutoff: Of the low-pass of each joint [Hz], shape (m,); None without one.
-        remarks: Remarks on them, for people.
-    """
-
-    samples: Observations
-    cutoff: Array | None
-    remarks: list[str]
 
 
 def differentiate(
@@ -183,21 +117,21 @@ def _splined(scene: Scene, where: str, motion: Motion, derivatives: Derivatives)
     return Differentiated(samples, None, said)
 
 
-def _together(
-    scene: Scene, joints: tuple[Array, Array, Array], bodies: Sequence[BodyMotion]
-) -> tuple[Array, Array, Array]:
-    """y, y' and y'' of joints and free bodies."""
-    if not bodies:
-        return joints
-    c = IndependentCoordinates(scene.robot, scene.couplings)
-    poses = [configuration_of(scene.robot, body.pose) for body in bodies]
-    twists = [body.twist for body in bodies if body.twist is not None]
-    pushes = [body.acceleration for body in bodies if body.acceleration is not None]
-    return (
-        c.positions(np.hstack([joints[0], *poses])),
-        c.rates(np.hstack([joints[1], *twists])),
-        c.rates(np.hstack([joints[2], *pushes])),
-    )
+def _given(scene: Scene, where: str, position: Array, values: Array | None, field: str) -> Array:
+    names = scene.couplings.independent
+    if not names:
+        return position
+    lacking = [
+        name
+        for i, name in enumerate(names)
+        if values is None or not np.isfinite(values[:, i]).all()
+    ]
+    if values is None or lacking:
+        raise DataError(
+            f"{where}: no {field} of {', '.join(lacking)}; "
+            "choose --derivatives causal, zero-phase or opensim"
+        )
+    return values[:, : len(names)]
 
 
 def _check_given(where: str, bodies: Sequence[BodyMotion]) -> None:
@@ -243,18 +177,85 @@ def _without_lag(
     return *own, bodies, cutoff, said
 
 
-def _given(scene: Scene, where: str, position: Array, values: Array | None, field: str) -> Array:
-    names = scene.couplings.independent
-    if not names:
-        return position
-    lacking = [
-        name
-        for i, name in enumerate(names)
-        if values is None or not np.isfinite(values[:, i]).all()
-    ]
-    if values is None or lacking:
-        raise DataError(
-            f"{where}: no {field} of {', '.join(lacking)}; "
-            "choose --derivatives causal, zero-phase or opensim"
-        )
-    return values[:, : len(names)]
+class BodySignals:
+    """Free bodies of a recording as signals that are filtered without lag.
+
+    Each body is the seven numbers of its pose, then its twist where that is measured.
+
+    A rotation is followed by the numbers of its quaternion, whose length counts out afterwards: a
+    low-pass mixes no axes and needs no chart. A measured twist is differentiated as it is.
+
+    Args:
+        bodies: Their motion; a twist with a gap counts as not measured.
+
+    Attributes:
+        names: Of the signals.
+        position: Signals, 0 in place of the integral of a twist, shape (n, m).
+        velocity: Their rates, NaN where not measured, same shape.
+    """
+
+    def __init__(self, bodies: Sequence[BodyMotion]) -> None:
+        self._bodies = bodies
+        self.names: list[str] = []
+        positions, velocities = [], []
+        for body in bodies:
+            twist, rate = _measured(body), np.full_like(body.pose, np.nan)
+            self.names += names_of(body.name, POSE_WORDS)
+            if twist is not None:
+                rate = rate_of(body.pose, twist)
+                self.names += names_of(body.name, TWIST_WORDS)
+            positions += [body.pose] + [np.zeros_like(t) for t in (twist,) if t is not None]
+            velocities += [rate] + [t for t in (twist,) if t is not None]
+        self.position, self.velocity = np.hstack(positions), np.hstack(velocities)
+
+    def motions(self, position: Array, velocity: Array, acceleration: Array) -> list[BodyMotion]:
+        """Motion of the bodies from the filtered signals and their derivatives, shape (n, m)."""
+        found, at = [], 0
+        for body in self._bodies:
+            pose = slice(at, at + POSE)
+            q, rate, second = position[:, pose], velocity[:, pose], acceleration[:, pose]
+            at += POSE
+            if _measured(body) is None:
+                twist, push = twist_of(q, rate), acceleration_of(q, rate, second)
+            else:
+                own = slice(at, at + TWIST)
+                twist, push = velocity[:, own], acceleration[:, own]
+                at += TWIST
+            found.append(BodyMotion(body.name, q, twist, push))
+        return found
+
+
+def _measured(body: BodyMotion) -> Array | None:
+    """Its twist where every sample has one."""
+    return None if body.twist is None or np.isnan(body.twist).any() else body.twist
+
+
+def _together(
+    scene: Scene, joints: tuple[Array, Array, Array], bodies: Sequence[BodyMotion]
+) -> tuple[Array, Array, Array]:
+    """y, y' and y'' of joints and free bodies."""
+    if not bodies:
+        return joints
+    c = IndependentCoordinates(scene.robot, scene.couplings)
+    poses = [configuration_of(scene.robot, body.pose) for body in bodies]
+    twists = [body.twist for body in bodies if body.twist is not None]
+    pushes = [body.acceleration for body in bodies if body.acceleration is not None]
+    return (
+        c.positions(np.hstack([joints[0], *poses])),
+        c.rates(np.hstack([joints[1], *twists])),
+        c.rates(np.hstack([joints[2], *pushes])),
+    )
+
+
+class Differentiated(NamedTuple):
+    """Samples of the independent coordinates, and their origin.
+
+    Attributes:
+        samples: The samples.
+        cutoff: Of the low-pass of each joint [Hz], shape (m,); None without one.
+        remarks: Remarks on them, for people.
+    """
+
+    samples: Observations
+    cutoff: Array | None
+    remarks: list[str]

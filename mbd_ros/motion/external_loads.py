@@ -1,5 +1,7 @@
 """External loads of a recorded motion."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -19,11 +21,8 @@ from mbd_ros.motion.recordings import Source, name_of, read_wrenches
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.variants import with_sections
 
-# ---- external loads ---------------------------------------------------------------------------
-# External loads as a laboratory writes them, beside a motion: `--external LOADS.xml`.
-
-
 _WORLD = "world"
+WRENCH_MAX_AGE = 0.1  # s
 
 
 class ExternalLoads:
@@ -94,10 +93,6 @@ class ExternalLoads:
         )
 
 
-def _range(stamps: Sequence[int] | NDArray[np.int64]) -> str:
-    return f"{stamps[0] * NANOSECOND:.6g} to {stamps[-1] * NANOSECOND:.6g}"
-
-
 def _entry(scene: Scene, path: Path, load: ExternalLoad) -> dict[str, str]:
     """The load as an entry of `external_wrenches`."""
     places = []
@@ -112,11 +107,8 @@ def _entry(scene: Scene, path: Path, load: ExternalLoad) -> dict[str, str]:
     return {"frame": places[0], "expressed_in": places[1]}
 
 
-# ---- wrenches ---------------------------------------------------------------------------------
-# External loads of a recorded motion.
-
-
-WRENCH_MAX_AGE = 0.1  # s
+def _range(stamps: Sequence[int] | NDArray[np.int64]) -> str:
+    return f"{stamps[0] * NANOSECOND:.6g} to {stamps[-1] * NANOSECOND:.6g}"
 
 
 def read_loads(
@@ -169,18 +161,6 @@ def _turned(samples: WrenchSamples, source: Source, axes: str) -> WrenchSamples:
     return samples._replace(wrench=parts.reshape(-1, 6))
 
 
-def refuse_unused(scene: Scene, wrenches: Source | None) -> None:
-    """Refuse a file of loads for a scene without any.
-
-    Raises:
-        DataError: The scene has no `external_wrenches`.
-    """
-    if wrenches is not None and not scene.wrenches:
-        raise DataError(
-            f"--wrenches {name_of(wrenches)}: {scene.name} has no external_wrenches to take it"
-        )
-
-
 def wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
     """A load at the stamps of a motion, shape (n, 6).
 
@@ -195,3 +175,15 @@ def wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
             f"not the motion at {stamps[lacking[0]] / 1e9} s"
         )
     return wrench
+
+
+def refuse_unused(scene: Scene, wrenches: Source | None) -> None:
+    """Refuse a file of loads for a scene without any.
+
+    Raises:
+        DataError: The scene has no `external_wrenches`.
+    """
+    if wrenches is not None and not scene.wrenches:
+        raise DataError(
+            f"--wrenches {name_of(wrenches)}: {scene.name} has no external_wrenches to take it"
+        )

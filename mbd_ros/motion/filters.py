@@ -1,5 +1,7 @@
 """Recorded motions through low-passes: without lag, and as the live node filters."""
 
+from __future__ import annotations
+
 import itertools
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -23,19 +25,8 @@ from mbd_ros.methods.signals.smoothing_spline import HIGHEST
 from mbd_ros.motion.cutoff import cutoffs
 from mbd_ros.motion.long_stamps import Stamps, Windows, parts_of, times_of, usual_step
 
-# ---- zero phase -------------------------------------------------------------------------------
-# Motions without lag: every signal of a joint passes the same low-pass, forwards and back.
-
-
 _PIECE, _PIECES = 25_000, 4  # samples that the cut-off is chosen from
-
-
-class Rows(Protocol):
-    """Numbers by rows, in memory or in a file."""
-
-    def __getitem__(self, rows: slice, /) -> Array:
-        """Some rows, shape (n, m)."""
-        ...
+_BLOCK, _FEW = 16_384, 256  # samples that are filtered at once, at most and at least
 
 
 class ZeroPhase(NamedTuple):
@@ -102,10 +93,37 @@ def chosen_cutoffs(
     return np.full(len(measured), cutoff)
 
 
-def stated(stamps: Stamps, chosen: Array) -> Array:
-    """Cut-offs for people: inf where nothing is smoothed."""
-    highest = HIGHEST / (usual_step(stamps) * NANOSECOND)
-    return np.where(chosen < highest, chosen, np.inf)
+class Rows(Protocol):
+    """Numbers by rows, in memory or in a file."""
+
+    def __getitem__(self, rows: slice, /) -> Array:
+        """Some rows, shape (n, m)."""
+        ...
+
+
+def _chosen(
+    stamps: Stamps, parts: Sequence[slice], moving: Rows, measured: NDArray[np.bool_]
+) -> Array:
+    """Cut-off of every joint, from its measured velocity or from its position."""
+    cut = [piece for part in parts for piece in _pieces(part)]
+    longest = max(piece.stop - piece.start for piece in cut)
+    whole = [piece for piece in cut if 2 * (piece.stop - piece.start) > longest]
+    taken = whole[:: -(-len(whole) // _PIECES)]
+    times, signals = [times_of(stamps, piece) for piece in taken], [moving[p] for p in taken]
+    chosen, m = np.full(len(measured), np.inf), len(measured)
+    for order, mine in ((0, ~measured), (1, measured)):
+        if mine.any():
+            columns = np.flatnonzero(mine) + order * m
+            pieces = [values[:, columns] for values in signals]
+            chosen[mine] = cutoffs(list(zip(times, pieces, strict=True)), order)
+    return chosen
+
+
+def _pieces(part: slice) -> Iterator[slice]:
+    """Pieces of about the same length, of at most `_PIECE` samples."""
+    count = -(-(part.stop - part.start) // _PIECE)
+    edges = np.linspace(part.start, part.stop, count + 1).astype(np.intp).tolist()
+    return (slice(*pair) for pair in itertools.pairwise(edges))
 
 
 def smoothed(
@@ -136,6 +154,12 @@ def smoothed(
         yield window.core, smooth, rate, push
 
 
+def stated(stamps: Stamps, chosen: Array) -> Array:
+    """Cut-offs for people: inf where nothing is smoothed."""
+    highest = HIGHEST / (usual_step(stamps) * NANOSECOND)
+    return np.where(chosen < highest, chosen, np.inf)
+
+
 def low_passed(windows: Windows, values: Rows, cutoff: Array) -> Iterator[tuple[Array, float]]:
     """Signals of the joints through the low-pass of their motion, in pieces.
 
@@ -151,38 +175,6 @@ def low_passed(windows: Windows, values: Rows, cutoff: Array) -> Iterator[tuple[
     for window in windows:
         wide, own = values[window.wide], window.own
         yield from (found[1:] for found in window.low_pass.spread(wide, every, cutoff, own))
-
-
-def _chosen(
-    stamps: Stamps, parts: Sequence[slice], moving: Rows, measured: NDArray[np.bool_]
-) -> Array:
-    """Cut-off of every joint, from its measured velocity or from its position."""
-    cut = [piece for part in parts for piece in _pieces(part)]
-    longest = max(piece.stop - piece.start for piece in cut)
-    whole = [piece for piece in cut if 2 * (piece.stop - piece.start) > longest]
-    taken = whole[:: -(-len(whole) // _PIECES)]
-    times, signals = [times_of(stamps, piece) for piece in taken], [moving[p] for p in taken]
-    chosen, m = np.full(len(measured), np.inf), len(measured)
-    for order, mine in ((0, ~measured), (1, measured)):
-        if mine.any():
-            columns = np.flatnonzero(mine) + order * m
-            pieces = [values[:, columns] for values in signals]
-            chosen[mine] = cutoffs(list(zip(times, pieces, strict=True)), order)
-    return chosen
-
-
-def _pieces(part: slice) -> Iterator[slice]:
-    """Pieces of about the same length, of at most `_PIECE` samples."""
-    count = -(-(part.stop - part.start) // _PIECE)
-    edges = np.linspace(part.start, part.stop, count + 1).astype(np.intp).tolist()
-    return (slice(*pair) for pair in itertools.pairwise(edges))
-
-
-# ---- causal -----------------------------------------------------------------------------------
-# Recorded motions through the causal filters of the live node, many samples at once.
-
-
-_BLOCK, _FEW = 16_384, 256  # samples that are filtered at once, at most and at least
 
 
 def observe(estimator: TorqueEstimator, motion: Motion, dropped: Counter[str]) -> Observations:

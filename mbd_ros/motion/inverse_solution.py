@@ -1,5 +1,7 @@
 """Recorded motions -> efforts and multipliers: open chains, and mechanisms with loops."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -40,27 +42,96 @@ from mbd_ros.scene.reading.coupling_entries import coupling_kinds
 
 if TYPE_CHECKING:
     from mbd_ros.methods.inverse_dynamics.force_split import Wish
-    from mbd_ros.motion.unmeasured_contacts import Ground, KnownContact
+    from mbd_ros.motion.known_contacts import KnownContact
+    from mbd_ros.motion.stance import Ground
+
+_CHUNK = 1000  # samples between two signs of progress
 
 
-# ---- explained motion -------------------------------------------------------------------------
-# A motion with what explains it, and the power of that.
+def solve_motion(scene: Scene, task: Task, say: Say) -> Solved:
+    """Efforts and multipliers of a motion; arguments and errors as for `inverse`."""
+    external = loads_of_laboratory(scene, task)
+    if external is not None:
+        scene = external.scene
+        for text in external.remarks:
+            say(text)
+    where = name_of(task.motion)
+    for text in scene.robot.doubts:
+        say(f"warning: {text}")
+    given = set(scene.wrenches)
+    scene, known, ground = _known_contacts(scene, task, say)
+    has_loops = scene.has_loops or task.bounds or ground is not None
+    if task.parts and has_loops:
+        raise DataError(f"{scene.name}: --parts goes with scenes without loops and --bounds only")
+    observed = observe_motion(scene, task, say, external)
+    samples = observed.samples
+    scene, wrenches = _with_contacts(scene, known, observed)
+    if has_loops:
+        if ground is not None:
+            stamps = observed.motion.stamps, observed.samples.stamps
+            ground = ground.told(scene, task.motion, *stamps)
+        way = solve_closed(scene, where, samples, wrenches, task, ground)
+    else:
+        way = solve_open(scene, where, samples, wrenches, task)
+    contacts = {one for one in scene.wrenches if one not in given}
+    return Solved(scene, observed, wrenches, contacts, known, ground, has_loops, way)
 
 
-class Explained(NamedTuple):
-    """What explains a motion.
+def _known_contacts(
+    scene: Scene, task: Task, say: Say
+) -> tuple[Scene, list[KnownContact], Ground | None]:
+    """The scene, contacts whose forces the motion carries, and those of unknown force."""
+    if not scene.parts.get("contacts"):
+        if task.stance is not None:
+            raise DataError(f"{scene.name}: --stance goes with scenes with rigid contacts")
+        return scene, [], None
+    from mbd_ros.motion.known_contacts import known_contacts  # only where something touches
+
+    tell = say if task.stance is None else lambda text: None
+    scene, known = known_contacts(scene, task.motion, task.topic, tell)
+    if task.stance is None:
+        return scene, known, None
+    from mbd_ros.motion.stance import ground_of
+
+    ground = ground_of(scene, task.stance, [one.name for one in known], say)
+    return scene, known, ground if ground.contacts else None
+
+
+def _with_contacts(
+    scene: Scene, known: list[KnownContact], observed: Observed
+) -> tuple[Scene, list[Array]]:
+    """The scene with known contacts among its loads, and the values of all loads."""
+    if not known:
+        return scene, observed.wrenches
+    from mbd_ros.motion.known_contacts import contact_loads
+
+    loads, wrenches = contact_loads(scene, known, observed.motion, observed.samples)
+    every = {**scene.wrenches, **loads}
+    return scene.holding(external_wrenches=every), [*observed.wrenches, *wrenches]
+
+
+class Solved(NamedTuple):
+    """A motion, and what explains it.
 
     Attributes:
-        rows: Those of the multipliers.
-        driven: Joints whose efforts are given.
-        count: How many samples there are.
-        motions: Gives, sample by sample, state, accelerations and what acts.
+        scene: The scene, with known contacts among its external loads.
+        observed: What was solved.
+        wrenches: One (n, 6) array for every external load of the scene.
+        contacts: Names of the external loads that are forces of contacts.
+        known: The contacts that these are forces of.
+        ground: Contacts of unknown force; None without any.
+        has_loops: Whether rows besides couplings took part.
+        way: What was found.
     """
 
-    rows: ConstraintRows
-    driven: Sequence[str]
-    count: int
-    motions: Callable[[], Iterator[tuple[State, Array, Exerted]]]
+    scene: Scene
+    observed: Observed
+    wrenches: list[Array]
+    contacts: set[str]
+    known: list[KnownContact]
+    ground: Ground | None
+    has_loops: bool
+    way: Way
 
 
 class Way(NamedTuple):
@@ -77,44 +148,20 @@ class Way(NamedTuple):
     explained: Explained
 
 
-def power_columns(
-    scene: Scene, explained: Explained, wrenches: Sequence[Array], contacts: Collection[str]
-) -> tuple[list[Column], str]:
-    """Columns of powers, and a line about their balance.
+class Explained(NamedTuple):
+    """What explains a motion.
 
-    Args:
-        scene: The scene.
-        explained: What explains its motion.
-        wrenches: One (n, 6) array for every load of the scene.
-        contacts: Names of the loads that are forces of contacts.
+    Attributes:
+        rows: Those of the multipliers.
+        driven: Joints whose efforts are given.
+        count: How many samples there are.
+        motions: Gives, sample by sample, state, accelerations and what acts.
     """
-    rows, driven, count, motions = explained
-    loads = scene.wrenches
-    balance = PowerBalance(scene.robot, rows, driven, loads, scene.acting, contacts)
-    values = np.array(
-        [
-            balance.values(*motion, [load[i] for load in wrenches])
-            for i, motion in enumerate(progress(motions(), count, "power"))
-        ]
-    )
-    columns = output_columns(balance.outputs, values)
-    return columns, _balance_line(columns)
 
-
-def _balance_line(columns: Sequence[Column]) -> str:
-    """How far the powers are from the rate of the kinetic energy."""
-    named = {column.name: column.values for column in columns}
-    sums = [v for name, v in named.items() if name.startswith("power.") and "energy" not in name]
-    off = float(np.abs(named["power.residual"]).max())
-    largest = max(float(np.abs(values).max()) for values in sums)
-    return f"power: balance off by at most {off:.2g} W, the largest sum is {largest:.4g} W"
-
-
-# ---- open chains ------------------------------------------------------------------------------
-# Torques of open chains, coupled or not: many samples at once.
-
-
-_CHUNK = 1000  # samples between two signs of progress
+    rows: ConstraintRows
+    driven: Sequence[str]
+    count: int
+    motions: Callable[[], Iterator[tuple[State, Array, Exerted]]]
 
 
 def solve_open(
@@ -234,58 +281,13 @@ class OpenChains:
         return output_columns(showing.numbers, np.array(shown))
 
 
-def topics(scene: Scene) -> dict[str, Any]:
-    """Topics of a bag, see `files.bags.bag_writer`."""
-    return {
-        "/joint_torques": {field: field for field in ("effort", "position", "velocity")},
-        **body_topics(scene.robot),
-        "/constraint_forces": {"effort": "multiplier"},
-    }
-
-
-class Violations:
-    """How far the dependent joints are off their couplings, or that nobody measured them.
-
-    Args:
-        scene: The scene.
-    """
-
-    def __init__(self, scene: Scene) -> None:
-        self._scene = scene
-        self._off = np.zeros(len(scene.couplings.dependent))  # NaN where not measured
-
-    def add(self, samples: Observations) -> None:
-        """Look at more samples."""
-        couplings, robot = self._scene.couplings, self._scene.robot
-        if not couplings.dependent:
-            return
-        q = np.zeros((robot.model.nq, len(samples.stamps)))
-        q[couplings.q_index] = samples.position.T
-        couplings.expand(q, np.zeros_like(q), np.zeros_like(q))
-        coupled = q[[robot.joint(name).q for name in couplings.dependent]].T
-        measured = np.where(np.isfinite(samples.dependent), samples.dependent, np.nan)
-        self._off = np.maximum(self._off, np.abs(measured - coupled).max(axis=0))
-
-    def lines(self) -> Iterator[str]:
-        """A line for each joint."""
-        for name, off in zip(self._scene.couplings.dependent, self._off, strict=True):
-            if np.isnan(off):
-                yield f"{name} is reconstructed from {coupling_kinds(self._scene)[name]}"
-            else:
-                yield f"{name} is off its coupling by at most {off:.3g}"
-
-
-# ---- closed chains ----------------------------------------------------------------------------
-# Efforts and multipliers of recorded motions of mechanisms with loops.
-
-
 def solve_closed(
     scene: Scene,
     where: str,
     samples: Observations,
     wrenches: Sequence[Array],
     task: Task,
-    ground: "Ground | None" = None,
+    ground: Ground | None = None,
 ) -> Way:
     """Efforts and multipliers of observations.
 
@@ -318,15 +320,11 @@ def solve_closed(
         off.append([np.abs(move).max(initial=0.0) for move in moves])
     standing = None
     if ground is not None:
-        from mbd_ros.motion.unmeasured_contacts import (
-            smooth_transitions,
-            stance_lines,
-            standing_in,
-        )
+        from mbd_ros.motion.stance import smooth_transitions, stance_lines, standing_in
 
         standing = standing_in(inverse, ground, states)
 
-    def solved_at(i: int, wish: "Wish | None" = None) -> Torques:
+    def solved_at(i: int, wish: Wish | None = None) -> Torques:
         here = None if standing is None else standing[i]
         with _said(where, states[i][0].t):
             return inverse.solve(*states[i], [load[i] for load in wrenches], here, wish)
@@ -342,19 +340,33 @@ def solve_closed(
     return Way(columns, remarks, _explained(inverse, states, solved))
 
 
-def _explained(
-    inverse: ClosedLoopInverseDynamics,
-    states: Sequence[tuple[State, Array]],
-    solved: Sequence[Torques],
-) -> Explained:
-    """Motions with what explains them."""
+@contextmanager
+def _said(where: str, t: float) -> Iterator[None]:
+    """Errors of a sample name source and time."""
+    try:
+        yield
+    except SolveError as error:
+        raise SolveError(f"{where}: at {t:.9g} s: {error}") from error
 
-    def motions() -> Iterator[tuple[State, Array, Exerted]]:
-        for (x, a), each in zip(states, solved, strict=True):
-            efforts = inverse.columns(x).dot(each.tau)
-            yield x, a, Exerted(efforts, inverse.carried(each), each.multipliers)
 
-    return Explained(inverse.constraints, inverse.efforts.names, len(states), motions)
+def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[Torques]) -> Iterator[str]:
+    yield (
+        f"moved onto the constraints by at most {off[0]:.3g} rad or m, {off[1]:.3g} per s, "
+        f"{off[2]:.3g} per s^2"
+    )
+    widest = max(solved, key=lambda each: each.null_space)
+    if widest.undetermined:
+        yield (
+            f"null space of dimension {widest.null_space}: {listed(widest.undetermined)} are "
+            "not determined, smallest norm taken"
+        )
+    worst = int(np.argmax([each.condition for each in solved]))
+    condition = solved[worst].condition
+    if condition > TOGGLE:
+        yield (
+            f"condition number {condition:.2g} at {stamps[worst] * NANOSECOND:.9g} s: near a "
+            "toggle, multipliers are unreliable there"
+        )
 
 
 def _columns(
@@ -390,13 +402,98 @@ def _columns(
     ]
 
 
-@contextmanager
-def _said(where: str, t: float) -> Iterator[None]:
-    """Errors of a sample name source and time."""
-    try:
-        yield
-    except SolveError as error:
-        raise SolveError(f"{where}: at {t:.9g} s: {error}") from error
+def _showing(scene: Scene, constraints: Sequence[Constraint]) -> Showing:
+    """What parts show of a motion; `constraints` in the order of the multipliers."""
+    return Showing(Kinematics(scene.robot), RowLayout(constraints), scene.forces)
+
+
+def _explained(
+    inverse: ClosedLoopInverseDynamics,
+    states: Sequence[tuple[State, Array]],
+    solved: Sequence[Torques],
+) -> Explained:
+    """Motions with what explains them."""
+
+    def motions() -> Iterator[tuple[State, Array, Exerted]]:
+        for (x, a), each in zip(states, solved, strict=True):
+            efforts = inverse.columns(x).dot(each.tau)
+            yield x, a, Exerted(efforts, inverse.carried(each), each.multipliers)
+
+    return Explained(inverse.constraints, inverse.efforts.names, len(states), motions)
+
+
+class Violations:
+    """How far the dependent joints are off their couplings, or that nobody measured them.
+
+    Args:
+        scene: The scene.
+    """
+
+    def __init__(self, scene: Scene) -> None:
+        self._scene = scene
+        self._off = np.zeros(len(scene.couplings.dependent))  # NaN where not measured
+
+    def add(self, samples: Observations) -> None:
+        """Look at more samples."""
+        couplings, robot = self._scene.couplings, self._scene.robot
+        if not couplings.dependent:
+            return
+        q = np.zeros((robot.model.nq, len(samples.stamps)))
+        q[couplings.q_index] = samples.position.T
+        couplings.expand(q, np.zeros_like(q), np.zeros_like(q))
+        coupled = q[[robot.joint(name).q for name in couplings.dependent]].T
+        measured = np.where(np.isfinite(samples.dependent), samples.dependent, np.nan)
+        self._off = np.maximum(self._off, np.abs(measured - coupled).max(axis=0))
+
+    def lines(self) -> Iterator[str]:
+        """A line for each joint."""
+        for name, off in zip(self._scene.couplings.dependent, self._off, strict=True):
+            if np.isnan(off):
+                yield f"{name} is reconstructed from {coupling_kinds(self._scene)[name]}"
+            else:
+                yield f"{name} is off its coupling by at most {off:.3g}"
+
+
+def power_columns(
+    scene: Scene, explained: Explained, wrenches: Sequence[Array], contacts: Collection[str]
+) -> tuple[list[Column], str]:
+    """Columns of powers, and a line about their balance.
+
+    Args:
+        scene: The scene.
+        explained: What explains its motion.
+        wrenches: One (n, 6) array for every load of the scene.
+        contacts: Names of the loads that are forces of contacts.
+    """
+    rows, driven, count, motions = explained
+    loads = scene.wrenches
+    balance = PowerBalance(scene.robot, rows, driven, loads, scene.acting, contacts)
+    values = np.array(
+        [
+            balance.values(*motion, [load[i] for load in wrenches])
+            for i, motion in enumerate(progress(motions(), count, "power"))
+        ]
+    )
+    columns = output_columns(balance.outputs, values)
+    return columns, _balance_line(columns)
+
+
+def _balance_line(columns: Sequence[Column]) -> str:
+    """How far the powers are from the rate of the kinetic energy."""
+    named = {column.name: column.values for column in columns}
+    sums = [v for name, v in named.items() if name.startswith("power.") and "energy" not in name]
+    off = float(np.abs(named["power.residual"]).max())
+    largest = max(float(np.abs(values).max()) for values in sums)
+    return f"power: balance off by at most {off:.2g} W, the largest sum is {largest:.4g} W"
+
+
+def topics(scene: Scene) -> dict[str, Any]:
+    """Topics of a bag, see `files.bags.bag_writer`."""
+    return {
+        "/joint_torques": {field: field for field in ("effort", "position", "velocity")},
+        **body_topics(scene.robot),
+        "/constraint_forces": {"effort": "multiplier"},
+    }
 
 
 def loop_topics(scene: Scene, contacts: Collection[str] = ()) -> dict[str, Any]:
@@ -404,117 +501,3 @@ def loop_topics(scene: Scene, contacts: Collection[str] = ()) -> dict[str, Any]:
     rows = scene.closed_loop(contacts=contacts).constraints.rows
     states = state_topics(scene.robot, ("position", "velocity"))
     return {**topics(scene), **force_topic(rows), **states}
-
-
-def _showing(scene: Scene, constraints: Sequence[Constraint]) -> Showing:
-    """What parts show of a motion; `constraints` in the order of the multipliers."""
-    return Showing(Kinematics(scene.robot), RowLayout(constraints), scene.forces)
-
-
-def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[Torques]) -> Iterator[str]:
-    yield (
-        f"moved onto the constraints by at most {off[0]:.3g} rad or m, {off[1]:.3g} per s, "
-        f"{off[2]:.3g} per s^2"
-    )
-    widest = max(solved, key=lambda each: each.null_space)
-    if widest.undetermined:
-        yield (
-            f"null space of dimension {widest.null_space}: {listed(widest.undetermined)} are "
-            "not determined, smallest norm taken"
-        )
-    worst = int(np.argmax([each.condition for each in solved]))
-    condition = solved[worst].condition
-    if condition > TOGGLE:
-        yield (
-            f"condition number {condition:.2g} at {stamps[worst] * NANOSECOND:.9g} s: near a "
-            "toggle, multipliers are unreliable there"
-        )
-
-
-# ---- inverse solution -------------------------------------------------------------------------
-# A recorded motion with everything that explains it.
-
-
-class Solved(NamedTuple):
-    """A motion, and what explains it.
-
-    Attributes:
-        scene: The scene, with known contacts among its external loads.
-        observed: What was solved.
-        wrenches: One (n, 6) array for every external load of the scene.
-        contacts: Names of the external loads that are forces of contacts.
-        known: The contacts that these are forces of.
-        ground: Contacts of unknown force; None without any.
-        has_loops: Whether rows besides couplings took part.
-        way: What was found.
-    """
-
-    scene: Scene
-    observed: Observed
-    wrenches: list[Array]
-    contacts: set[str]
-    known: "list[KnownContact]"
-    ground: "Ground | None"
-    has_loops: bool
-    way: Way
-
-
-def solve_motion(scene: Scene, task: Task, say: Say) -> Solved:
-    """Efforts and multipliers of a motion; arguments and errors as for `inverse`."""
-    external = loads_of_laboratory(scene, task)
-    if external is not None:
-        scene = external.scene
-        for text in external.remarks:
-            say(text)
-    where = name_of(task.motion)
-    for text in scene.robot.doubts:
-        say(f"warning: {text}")
-    given = set(scene.wrenches)
-    scene, known, ground = _known_contacts(scene, task, say)
-    has_loops = scene.has_loops or task.bounds or ground is not None
-    if task.parts and has_loops:
-        raise DataError(f"{scene.name}: --parts goes with scenes without loops and --bounds only")
-    observed = observe_motion(scene, task, say, external)
-    samples = observed.samples
-    scene, wrenches = _with_contacts(scene, known, observed)
-    if has_loops:
-        if ground is not None:
-            ground = ground.told(scene, task.motion, observed)
-        way = solve_closed(scene, where, samples, wrenches, task, ground)
-    else:
-        way = solve_open(scene, where, samples, wrenches, task)
-    contacts = {one for one in scene.wrenches if one not in given}
-    return Solved(scene, observed, wrenches, contacts, known, ground, has_loops, way)
-
-
-def _known_contacts(
-    scene: Scene, task: Task, say: Say
-) -> "tuple[Scene, list[KnownContact], Ground | None]":
-    """The scene, contacts whose forces the motion carries, and those of unknown force."""
-    if not scene.parts.get("contacts"):
-        if task.stance is not None:
-            raise DataError(f"{scene.name}: --stance goes with scenes with rigid contacts")
-        return scene, [], None
-    from mbd_ros.motion.unmeasured_contacts import known_contacts  # only where something touches
-
-    tell = say if task.stance is None else lambda text: None
-    scene, known = known_contacts(scene, task.motion, task.topic, tell)
-    if task.stance is None:
-        return scene, known, None
-    from mbd_ros.motion.unmeasured_contacts import ground_of
-
-    ground = ground_of(scene, task.stance, [one.name for one in known], say)
-    return scene, known, ground if ground.contacts else None
-
-
-def _with_contacts(
-    scene: Scene, known: "list[KnownContact]", observed: Observed
-) -> tuple[Scene, list[Array]]:
-    """The scene with known contacts among its loads, and the values of all loads."""
-    if not known:
-        return scene, observed.wrenches
-    from mbd_ros.motion.unmeasured_contacts import contact_loads
-
-    loads, wrenches = contact_loads(scene, known, observed.motion, observed.samples)
-    every = {**scene.wrenches, **loads}
-    return scene.holding(external_wrenches=every), [*observed.wrenches, *wrenches]

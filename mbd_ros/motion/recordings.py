@@ -1,5 +1,7 @@
 """Motions, wrenches and markers from tables and bags: one meaning for all."""
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -18,15 +20,15 @@ from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table, motion_stamps, read_result
 from msg_adapters.pose import OFF_UNIT
 
-# ---- recordings -------------------------------------------------------------------------------
-# Motions and wrenches from tables and bags: one meaning for both.
-
-
 Source = str | Path | Result  # of a motion
 CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
 _WRENCHES = "wrenches"  # table of the plates of a .c3d
 _IN_MEMORY = "the result"
 _FROM_MARKERS = "kinematics"  # the job
+UNITS = {"m": 1.0, "mm": 1.0e-3, "cm": 1.0e-2}
+_AXES = ("x", "y", "z")
+_ENDINGS = (".{}", ".position_{}", ".position.{}", "_{}")  # of the columns of a marker
+_FAR = 50.0  # m from one marker to another of a frame: no person and no laboratory has that
 
 
 def read_motion(
@@ -90,6 +92,40 @@ def read_motion(
     return Recording(motion, Counter(), False, tuple(lacking), labels, remarks, of_laboratory)
 
 
+def _samples(
+    source: Source,
+    may_lack: Collection[str],
+    joints: Sequence[str] = (),
+    sliding: Collection[str] = (),
+    prefers: str = MAIN,
+) -> _Samples:
+    """Table `samples` of a result or file, and what is said of it.
+
+    Args:
+        source: Result or file.
+        may_lack: Columns of a .csv that may hold nan.
+        joints: Those that a storage may name by its own labels.
+        sliding: Those of them that slide.
+        prefers: Table that is read in place of `samples` where there is one of that name.
+    """
+    where = name_of(source)
+    if not isinstance(source, Result):
+        path, chosen = Path(source), format_of(source)
+        options = {"nan_allowed": may_lack.__contains__} if path.name.endswith(CSV) else {}
+        source = chosen.read(path, **options)
+    if MAIN not in source:
+        raise DataError(f"{where}: no table {MAIN}; there are: {', '.join(source) or 'none'}")
+    table = source[prefers if prefers in source else MAIN]
+    _check_columns(table, where, [TIME])
+    if not table.rows:
+        raise DataError(f"{where}: table {MAIN} has no row")
+    if not is_storage(source):
+        return _Samples(table, where, of_laboratory=source.metadata.get("job") == _FROM_MARKERS)
+    unused, remarks = tuple(other_labels(table, joints)), tuple(source.metadata[REMARKS])
+    table = joint_columns(source, table, where, joints, sliding)
+    return _Samples(table, where, unused, remarks, of_laboratory=True)
+
+
 class _Samples(NamedTuple):
     """What is read of a source.
 
@@ -108,8 +144,31 @@ class _Samples(NamedTuple):
     of_laboratory: bool = False
 
 
+def _check_columns(table: Table, where: str, names: Iterable[str]) -> None:
+    """Raise DataError that lists the columns of numbers a table lacks, and those it has."""
+    lacking = [name for name in names if not _is_plain(table, name)]
+    if lacking:
+        there = ", ".join(name for name in table if _is_plain(table, name))
+        raise DataError(f"{where}: no column {', '.join(lacking)}; there are: {there}")
+
+
+def _is_plain(table: Table, name: str) -> bool:
+    return name in table and table[name].ndim == 1 and table[name].dtype.kind in "fiu"
+
+
 def _constant(table: Table, joint: str, position: float) -> Column:
     return Column(f"{joint}.position", np.full(table.rows, position))
+
+
+def _columns(table: Table, names: list[str]) -> Array | None:
+    """The named columns, NaN where the table has none; None where it has none of them."""
+    there = [name for name in names if _is_plain(table, name)]
+    if not there:
+        return None
+    values = np.full((table.rows, len(names)), np.nan)
+    for name in there:
+        values[:, names.index(name)] = table[name]
+    return values
 
 
 def _body(table: Table, where: str, name: str) -> BodyMotion:
@@ -146,68 +205,6 @@ def read_columns(
     if not names or (not isinstance(source, Result) and is_bag(source)):
         return None
     return _columns(_samples(source, (), joints, sliding).table, list(names))
-
-
-def name_of(source: Source) -> str:
-    """What messages call a source."""
-    return _IN_MEMORY if isinstance(source, Result) else str(source)
-
-
-def _samples(
-    source: Source,
-    may_lack: Collection[str],
-    joints: Sequence[str] = (),
-    sliding: Collection[str] = (),
-    prefers: str = MAIN,
-) -> _Samples:
-    """Table `samples` of a result or file, and what is said of it.
-
-    Args:
-        source: Result or file.
-        may_lack: Columns of a .csv that may hold nan.
-        joints: Those that a storage may name by its own labels.
-        sliding: Those of them that slide.
-        prefers: Table that is read in place of `samples` where there is one of that name.
-    """
-    where = name_of(source)
-    if not isinstance(source, Result):
-        path, chosen = Path(source), format_of(source)
-        options = {"nan_allowed": may_lack.__contains__} if path.name.endswith(CSV) else {}
-        source = chosen.read(path, **options)
-    if MAIN not in source:
-        raise DataError(f"{where}: no table {MAIN}; there are: {', '.join(source) or 'none'}")
-    table = source[prefers if prefers in source else MAIN]
-    _check_columns(table, where, [TIME])
-    if not table.rows:
-        raise DataError(f"{where}: table {MAIN} has no row")
-    if not is_storage(source):
-        return _Samples(table, where, of_laboratory=source.metadata.get("job") == _FROM_MARKERS)
-    unused, remarks = tuple(other_labels(table, joints)), tuple(source.metadata[REMARKS])
-    table = joint_columns(source, table, where, joints, sliding)
-    return _Samples(table, where, unused, remarks, of_laboratory=True)
-
-
-def _check_columns(table: Table, where: str, names: Iterable[str]) -> None:
-    """Raise DataError that lists the columns of numbers a table lacks, and those it has."""
-    lacking = [name for name in names if not _is_plain(table, name)]
-    if lacking:
-        there = ", ".join(name for name in table if _is_plain(table, name))
-        raise DataError(f"{where}: no column {', '.join(lacking)}; there are: {there}")
-
-
-def _is_plain(table: Table, name: str) -> bool:
-    return name in table and table[name].ndim == 1 and table[name].dtype.kind in "fiu"
-
-
-def _columns(table: Table, names: list[str]) -> Array | None:
-    """The named columns, NaN where the table has none; None where it has none of them."""
-    there = [name for name in names if _is_plain(table, name)]
-    if not there:
-        return None
-    values = np.full((table.rows, len(names)), np.nan)
-    for name in there:
-        values[:, names.index(name)] = table[name]
-    return values
 
 
 def read_wrenches(
@@ -255,48 +252,9 @@ def _wrench(table: Table, where: str, name: str) -> Array:
     return values[:, :6]
 
 
-# ---- marker recording -------------------------------------------------------------------------
-# Recorded markers: labels, times and places, from any table of markers.
-
-
-UNITS = {"m": 1.0, "mm": 1.0e-3, "cm": 1.0e-2}
-_AXES = ("x", "y", "z")
-_ENDINGS = (".{}", ".position_{}", ".position.{}", "_{}")  # of the columns of a marker
-_FAR = 50.0  # m from one marker to another of a frame: no person and no laboratory has that
-
-
-class Capture(NamedTuple):
-    """Recorded markers.
-
-    Attributes:
-        where: File, for messages.
-        labels: Of the markers.
-        times: [s], increasing, shape (N,).
-        places: In the world [m], NaN where one was not seen, shape (N, n, 3).
-        screen: Recorded axes to the right and upwards on a screen, as `+X`, `+Z`; empty where the
-            recording does not say them.
-    """
-
-    where: str
-    labels: tuple[str, ...]
-    times: Array
-    places: Array
-    screen: tuple[str, ...] = ()
-
-    def between(self, begin: float | None, end: float | None) -> "Capture":
-        """The frames of a range of times.
-
-        Raises:
-            DataError: There is none in it.
-        """
-        low, high = (-np.inf if begin is None else begin), (np.inf if end is None else end)
-        inside = (self.times >= low - 1e-9) & (self.times <= high + 1e-9)
-        if not inside.any():
-            raise DataError(
-                f"{self.where}: no frame from {low:g} to {high:g} s; there are frames from "
-                f"{self.times[0]:g} to {self.times[-1]:g} s"
-            )
-        return self._replace(times=self.times[inside], places=self.places[inside])
+def name_of(source: Source) -> str:
+    """What messages call a source."""
+    return _IN_MEMORY if isinstance(source, Result) else str(source)
 
 
 def read_capture(source: Source, unit: str | None = None) -> Capture:
@@ -376,3 +334,37 @@ def _refuse_far(where: str, labels: Sequence[str], places: Array, times: Array) 
             f"{where}: markers are {apart[at]:.4g} m apart at t = {times[at]:.9g} s, which looks "
             f"like millimetres ({len(labels)} markers): say --unit mm"
         )
+
+
+class Capture(NamedTuple):
+    """Recorded markers.
+
+    Attributes:
+        where: File, for messages.
+        labels: Of the markers.
+        times: [s], increasing, shape (N,).
+        places: In the world [m], NaN where one was not seen, shape (N, n, 3).
+        screen: Recorded axes to the right and upwards on a screen, as `+X`, `+Z`; empty where the
+            recording does not say them.
+    """
+
+    where: str
+    labels: tuple[str, ...]
+    times: Array
+    places: Array
+    screen: tuple[str, ...] = ()
+
+    def between(self, begin: float | None, end: float | None) -> Capture:
+        """The frames of a range of times.
+
+        Raises:
+            DataError: There is none in it.
+        """
+        low, high = (-np.inf if begin is None else begin), (np.inf if end is None else end)
+        inside = (self.times >= low - 1e-9) & (self.times <= high + 1e-9)
+        if not inside.any():
+            raise DataError(
+                f"{self.where}: no frame from {low:g} to {high:g} s; there are frames from "
+                f"{self.times[0]:g} to {self.times[-1]:g} s"
+            )
+        return self._replace(times=self.times[inside], places=self.places[inside])

@@ -10,7 +10,7 @@ import mbd_ros as mbd
 from mbd_ros import read_result
 from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.motion.unmeasured_contacts import kept_force
+from mbd_ros.motion.stance import kept_force
 
 G = 9.81
 SIDES = {"left": 0.15, "right": -0.15}

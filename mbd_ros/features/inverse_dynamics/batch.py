@@ -7,7 +7,7 @@ from mbd_ros.features.inverse_dynamics.job import inverse_to
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.batch import Batch, Outcome, do_batch, do_one, task_of
 from mbd_ros.motion.external_loads import refuse_unused
-from mbd_ros.motion.unmeasured_contacts import stance_of
+from mbd_ros.motion.stance import stance_of
 from mbd_ros.scene.reader import load_scene
 
 

@@ -38,7 +38,7 @@ from mbd_ros.motion.inverse_solution import (
 )
 from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.samples import Task
-from mbd_ros.motion.unmeasured_contacts import stance_of
+from mbd_ros.motion.stance import stance_of
 from mbd_ros.scene.built_scene import Scene
 
 _SAME_EFFORT = 1e-9  # of the largest effort

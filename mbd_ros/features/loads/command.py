@@ -145,7 +145,7 @@ def run(arguments: argparse.Namespace) -> int:
     from mbd_ros.features.loads.job import LoadsTask, loads_to
     from mbd_ros.motion.derivatives import Derivatives
     from mbd_ros.motion.samples import Task
-    from mbd_ros.motion.unmeasured_contacts import stance_of
+    from mbd_ros.motion.stance import stance_of
     from mbd_ros.scene.reader import load_scene
 
     given = arguments

@@ -33,7 +33,7 @@ from mbd_ros.motion.inverse_solution import Solved, solve_motion
 from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.samples import Task
-from mbd_ros.motion.unmeasured_contacts import stance_of
+from mbd_ros.motion.stance import stance_of
 from mbd_ros.scene.built_scene import Scene
 
 if TYPE_CHECKING:
@@ -195,7 +195,7 @@ def _touching(solved: Solved) -> Iterator[tuple[Array, Any]]:
     """Forces of known contacts, and what they exert on bodies."""
     if not solved.known:
         return
-    from mbd_ros.motion.unmeasured_contacts import forces_at  # only where something touches
+    from mbd_ros.motion.known_contacts import forces_at  # only where something touches
 
     def exerted(one: Any) -> Any:
         def wrenches(body: FreeBody, x: State, forces: Array) -> list[Named]:

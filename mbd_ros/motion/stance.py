@@ -1,0 +1,384 @@
+"""Feet on the ground whose forces nobody measured: who stands, and how the load is shared.
+
+Forces of these contacts are unknowns of inverse dynamics. Over a double support of length T the
+trailing foot keeps these shares of the force that it had:
+
+    along the way     k1 exp(-(2 (t - T / 3) / T)^2) - 2 k2 t / T
+    across and up     exp(-(2 t / T)^3),        k1 = e^(4/9), k2 = e^(-4/3) / 2
+
+Source: L. Ren, R. K. Jones, D. Howard, J. Biomechanics 41 (2008) 2750,
+doi:10.1016/j.jbiomech.2008.06.001, for the forces of walking persons.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from mbd_ros.core.geometry.contact_outputs import OPEN
+from mbd_ros.core.state import Array, State
+from mbd_ros.errors import DataError, SolveError
+from mbd_ros.jobs.progress import Say
+from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
+from mbd_ros.methods.inverse_dynamics.efforts import Mask, listed
+from mbd_ros.methods.inverse_dynamics.force_split import Wish
+from mbd_ros.methods.inverse_dynamics.inverse_dynamics import Torques
+from mbd_ros.methods.inverse_dynamics.standing import Nearness
+from mbd_ros.motion.recordings import Source, name_of, read_columns
+from mbd_ros.scene.built_scene import Scene
+
+METHODS = ("minimum-norm", "smooth")
+_INSIDE = 0.9  # of the friction that a normal force bears: the corners of a foot differ
+_AHEAD = math.exp(4.0 / 9.0), math.exp(-4.0 / 3.0) / 2.0
+Solve = Callable[[int, Wish | None], Torques]
+
+
+class StanceTask(NamedTuple):
+    """What is asked of feet on the ground.
+
+    Attributes:
+        method: One of `METHODS`: what decides where a motion does not.
+        near: What counts as on the ground, where the motion has no states of contacts.
+    """
+
+    method: str = METHODS[0]
+    near: Nearness = Nearness()
+
+
+def stance_of(method: str | None, gap: float | None, speed: float | None) -> StanceTask | None:
+    """The task of the options of a command; None where none is asked for.
+
+    Raises:
+        DataError: An unknown method, thresholds below 0, or thresholds alone.
+    """
+    limits = {k: v for k, v in {"gap": gap, "speed": speed}.items() if v is not None}
+    if method is None:
+        if limits:
+            raise DataError(f"--stance-{next(iter(limits))} goes with --stance")
+        return None
+    if method not in METHODS:
+        raise DataError(f"--stance {method}: accepted: {', '.join(METHODS)}")
+    for name, value in limits.items():
+        if not 0.0 <= value < np.inf:
+            raise DataError(f"--stance-{name} {value:g} must be >= 0 and finite")
+    return StanceTask(method, Nearness()._replace(**limits))
+
+
+class Ground(NamedTuple):
+    """Contacts of unknown force.
+
+    Attributes:
+        task: What is asked.
+        contacts: Their names.
+        given: Which features stand, as columns of the motion say, shape (n, features); None for
+            what geometry says.
+        by: What says so.
+    """
+
+    task: StanceTask
+    contacts: tuple[str, ...]
+    given: Mask | None = None
+    by: str = "geometry"
+
+    def told(
+        self,
+        scene: Scene,
+        source: Source,
+        stamps: NDArray[np.int64],
+        samples: NDArray[np.int64],
+    ) -> Ground:
+        """The same with what columns of a motion say of the features.
+
+        `<contact>.state` says it of each, `phase` by the contacts of a phase where these are
+        held.
+
+        Args:
+            source: The motion.
+            stamps: Stamps of its rows [ns], ascending.
+            samples: Stamps of the rows that are solved [ns].
+
+        Raises:
+            DataError: Some columns of states are there and others are not, or a phase that the
+                scene does not have; names these.
+        """
+        rows = np.searchsorted(stamps, samples)
+        parts = [part for part in scene.constraints if part.name in self.contacts]
+        states = _states(source, parts)
+        if states is not None:
+            return self._replace(given=states[rows] != OPEN, by="columns of states")
+        held = _held(scene, source, parts) if scene.phases else None
+        return self if held is None else self._replace(given=held[rows], by="phases")
+
+
+def _states(source: Source, parts: Sequence[Any]) -> Array | None:
+    """Columns of states of all features; None where there is none of them."""
+    names = [
+        f"{part.name}.state" + (f"_{feature}" if len(part.features) > 1 else "")
+        for part in parts
+        for feature in part.features
+    ]
+    states = read_columns(source, names)
+    gaps = [] if states is None else np.isnan(states).any(axis=0)
+    lacking = [name for name, bad in zip(names, gaps, strict=False) if bad]
+    if lacking:
+        raise DataError(
+            f"{name_of(source)}: no column {listed(lacking)}, or it has gaps; accepted: the "
+            f"states of all features, or none: {listed(names)}"
+        )
+    return states
+
+
+def _held(scene: Scene, source: Source, parts: Sequence[Any]) -> Mask | None:
+    """Features that the phase of each row holds; None without phases, or where some hold none."""
+    plans, numbers = list(scene.phases.values()), read_columns(source, ["phase"])
+    if numbers is None or not all(plan.held for plan in plans):
+        return None
+    unknown = ~np.isin(numbers[:, 0], np.arange(len(plans)))
+    if unknown.any():
+        raise DataError(
+            f"{name_of(source)}: phase {numbers[unknown][0, 0]:g} is none of the scene; accepted: "
+            f"0 to {len(plans) - 1}: {', '.join(plan.name for plan in plans)}"
+        )
+    of_phase = np.array(
+        [[part.name in plan.contacts for part in parts for _ in part.features] for plan in plans]
+    )
+    held: Mask = of_phase[numbers[:, 0].astype(int)]
+    return held
+
+
+def ground_of(scene: Scene, task: StanceTask, known: Sequence[str], say: Say) -> Ground:
+    """The contacts of unknown force of a scene.
+
+    Args:
+        scene: The scene, with the loads that somebody measured.
+        task: What is asked.
+        known: Contacts whose forces the motion carries.
+        say: Is told what is known.
+
+    Raises:
+        DataError: The scene has no rigid contacts.
+    """
+    every = scene.closed_contacts
+    if not every:
+        raise DataError(f"{scene.name}: --stance: no rigid contacts; accepted: a scene with some")
+    unknown = tuple(name for name in scene.unmeasured_contacts if name not in known)
+    measured = [name for name in every if name not in unknown]
+    if measured:
+        say(f"stance: forces of {listed(measured)} are measured")
+    return Ground(task, unknown)
+
+
+def standing_in(
+    inverse: ClosedLoopInverseDynamics, ground: Ground, states: Sequence[tuple[State, Array]]
+) -> Mask:
+    """Which features stand in each sample, shape (n, features)."""
+    assert inverse.standing is not None
+    if ground.given is not None:
+        return ground.given
+    return np.array([inverse.standing.at(x) for x, _ in states])
+
+
+def stance_lines(
+    inverse: ClosedLoopInverseDynamics,
+    ground: Ground,
+    standing: Mask,
+    solved: Sequence[Torques],
+    passed: str,
+) -> Iterator[str]:
+    """What decided, who stood, and what the forces leave."""
+    feet = inverse.standing
+    assert feet is not None
+    stands = np.array([feet.standing_feet(row) for row in standing])
+    near = ground.task.near
+    by = f"gap <= {near.gap:g} L and speed along the normal <= {near.speed:g} sqrt(g L)"
+    if ground.given is not None:
+        by = ground.by
+    shares = ", ".join(
+        f"{name} {share:.0%}" for name, share in zip(feet.feet_names, stands.mean(0), strict=True)
+    )
+    yield f"stance: by {by}; on the ground {shares} of the time, both or more {_several(stands)}"
+    free = [any(name.endswith(".effort") for name in each.undetermined) for each in solved]
+    if any(free):
+        how = "smallest norm of efforts, then of forces"
+        if passed:
+            how = f"{passed}, else {how}"
+        yield f"stance: efforts are not determined in {np.mean(free):.0%} of the samples: {how}"
+    bases = np.array([np.concatenate((each.residual, each.carried)) for each in solved])
+    if bases.shape[1]:
+        weight = float(sum(y.mass for y in inverse.robot.model.inertias)) * float(
+            np.linalg.norm(inverse.robot.model.gravity.linear)
+        )
+        largest = np.abs(bases).max()
+        size = f"{largest:.3g} N or N·m, the weight is {weight:.4g} N"
+        yield f"stance: residual of the base at most {size}"
+
+
+def _several(stands: Mask) -> str:
+    return f"{(stands.sum(axis=1) > 1).mean():.0%}"
+
+
+def smooth_transitions(
+    inverse: ClosedLoopInverseDynamics,
+    states: Sequence[tuple[State, Array]],
+    standing: Mask,
+    solved: list[Torques],
+    solve: Solve,
+) -> str:
+    """Solve double supports again, so that the load passes on smoothly.
+
+    Args:
+        inverse: The solver.
+        states: Motion and accelerations.
+        standing: Which features stand, shape (n, features).
+        solved: Results, some of which are replaced.
+        solve: Number of a sample and a wish -> its result.
+
+    Returns:
+        How many there are, in words.
+    """
+    transition = _Transition(inverse, states, standing, solved)
+    refused = 0
+    for support in transition.supports:
+        for i, wish in transition.wishes(support):
+            try:
+                solved[i] = solve(i, wish)
+            except SolveError:
+                refused += 1
+    passed = f"smooth transition in {len(transition.supports)} double supports"
+    return passed + (f", without {refused} samples where cones forbid it" if refused else "")
+
+
+class _Transition:
+    """Double supports of a motion that was solved with the least efforts.
+
+    Args:
+        inverse: The solver.
+        states: Motion and accelerations.
+        standing: Which features stand, shape (n, features).
+        solved: Their results.
+
+    Attributes:
+        supports: Those that begin in the motion.
+    """
+
+    def __init__(
+        self,
+        inverse: ClosedLoopInverseDynamics,
+        states: Sequence[tuple[State, Array]],
+        standing: Mask,
+        solved: Sequence[Torques],
+    ) -> None:
+        assert inverse.standing is not None
+        self._feet, self._model = inverse.standing, inverse.robot.model
+        self._states, self._standing = states, standing
+        cones = inverse.constraints.cones
+        slots = np.concatenate([np.r_[cone.slots] for cone in cones])
+        self._forces = [each.multipliers[slots] for each in solved]
+        self._mu = min(cone.mu for cone in cones)
+        self._times = np.array([x.t for x, _ in states])
+        stands = np.array([self._feet.standing_feet(row) for row in standing])
+        self.supports = list(double_supports(self._times, stands))
+
+    def wishes(self, support: DoubleSupport) -> Iterator[tuple[int, Wish]]:
+        """The force of the trailing foot in each sample of a double support."""
+        (before, samples, foot, end), times = support, self._times
+        at_first = self._feet.forces(self._states[before][0])[foot].dot(self._forces[before])
+        data, ends = pin.Data(self._model), (before, samples[-1])
+        centres = [pin.centerOfMass(self._model, data, self._states[i][0].q).copy() for i in ends]
+        way = direction_of_way(centres, self._model.gravity.linear)
+        for i in samples:
+            share = float((times[i] - times[before]) / (end - times[before]))
+            forces = self._feet.forces(self._states[i][0])
+            total = forces.sum(axis=0).dot(self._forces[i])
+            others = np.delete(forces, foot, axis=0).sum(axis=0)[:, ::3]
+            normal = others.dot(self._standing[i])
+            normal /= np.linalg.norm(normal)
+            kept = kept_force(at_first, way, min(share, 1.0))
+            yield i, Wish(forces[foot], possible_force(kept, total, normal, self._mu))
+
+
+class DoubleSupport(NamedTuple):
+    """Samples with more than one foot on the ground, after one with one.
+
+    Attributes:
+        before: Sample of the single support before.
+        samples: Those of the double support.
+        foot: The trailing foot, which stood alone.
+        end: Time of the end [s]: of the first sample after it, or of the last one of all.
+    """
+
+    before: int
+    samples: range
+    foot: int
+    end: float
+
+
+def double_supports(times: Array, feet: NDArray[np.bool_]) -> Iterator[DoubleSupport]:
+    """Double supports of a motion whose beginning is in it.
+
+    Args:
+        times: Of samples [s], shape (n,).
+        feet: Which feet stand, shape (n, feet).
+    """
+    several = feet.sum(axis=1) > 1
+    starts = np.flatnonzero(several[1:] & ~several[:-1]) + 1
+    for start in starts.tolist():
+        before = start - 1
+        if not feet[before].any():
+            continue  # a flight before it leaves open which foot was first
+        foot, after = int(np.argmax(feet[before])), np.flatnonzero(~several[start:])
+        end = start + int(after[0]) if len(after) else len(times)
+        last = float(times[min(end, len(times) - 1)])
+        yield DoubleSupport(before, range(start, end), foot, last)
+
+
+def kept_force(force: Array, way: Array, share: float) -> Array:
+    """The force of the trailing foot after a share of the double support.
+
+    Args:
+        force: What it was at the beginning [N], shape (3,).
+        way: Direction of walking, of length 1, shape (3,).
+        share: t / T, 0 .. 1.
+
+    Returns:
+        Shape (3,), in the axes of `force`.
+    """
+    k1, k2 = _AHEAD
+    along = k1 * math.exp(-((2.0 * (share - 1.0 / 3.0)) ** 2)) - 2.0 * k2 * share
+    across = math.exp(-((2.0 * share) ** 3))
+    ahead = way.dot(force) * way
+    kept: Array = along * ahead + across * (force - ahead)
+    return kept
+
+
+def possible_force(kept: Array, total: Array, normal: Array, mu: float) -> Array:
+    """The kept force, so that the rest of the total is one that the ground can exert.
+
+    Args:
+        kept: On the trailing foot [N], shape (3,).
+        total: On all feet, shape (3,).
+        normal: Of the ground below the others, of length 1, shape (3,).
+        mu: Coefficient of friction there.
+    """
+    rest = total - kept
+    push = max(float(normal.dot(rest)), 0.0)
+    along = rest - normal.dot(rest) * normal
+    most, length = _INSIDE * mu * push, float(np.linalg.norm(along))
+    if length > most:
+        along *= most / length
+    possible: Array = total - push * normal - along
+    return possible
+
+
+def direction_of_way(places: Sequence[Array], gravity: Array) -> Array:
+    """Level direction from the first to the last place, shape (3,); 0 where nothing moves."""
+    up = -gravity / (float(np.linalg.norm(gravity)) or 1.0)
+    step = places[-1] - places[0]
+    level = step - up.dot(step) * up
+    length = float(np.linalg.norm(level))
+    return level / length if length > 0.0 else np.zeros(3)
