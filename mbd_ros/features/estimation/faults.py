@@ -28,7 +28,8 @@ from mbd_ros.methods.estimation.kalman_update import Bools, Innovation
 from mbd_ros.methods.estimation.process import SensorSet
 
 _MOST_UNEXPLAINED = 0.6  # share of what is not explained, above which nothing is named
-_LAG, _DELAYS = 0.1, 8  # longest delay, as a share of the window; how many are tried
+_LAG = 0.1  # longest delay of an estimate, as a share of the window
+_DELAYS = 8  # that are tried
 _PAUSE = 0.05  # share of the window between two comparisons
 _FILLED = 0.9  # share of the window that samples must cover
 _BETTER = 0.7  # times the share of the second best that a named one has at most

@@ -227,7 +227,6 @@ def _lines(found: Estimated) -> Iterator[str]:
         yield f"warning: the estimator began anew {found.restarts} times: nothing fitted"
 
 
-# What a recording says: numbers of sensors, and inputs.
 def measured_values(estimation: Estimation, source: Source, motion: Motion) -> Array:
     """What was measured, NaN where nothing was, shape (samples, m).
 

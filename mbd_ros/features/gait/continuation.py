@@ -33,17 +33,18 @@ from mbd_ros.scene.variants import found_place, places_of
 
 DOUBLING, FOLD, TORUS = "period doubling", "fold", "torus bifurcation"
 Family = Callable[[float], ReturnMap]
-
-
 """The return map at a value of the parameter."""
 
-
-_FIRST, _LONGEST, _SHORTEST = 0.02, 0.1, 1.0e-6  # of steps, in units of state and range
+_FIRST = 0.02  # step, in units of state and range
+_LONGEST, _SHORTEST = 0.1, 1.0e-6  # steps
 _PROBE = 1.0e-4  # of the range: difference by the parameter
-_CORRECTIONS, _RENEWALS = 16, 4  # of a point, and of its derivatives, at most
+_CORRECTIONS = 16  # of a point, at most
+_RENEWALS = 4  # of its derivatives, at most
 _GAIN = 0.5  # of a correction, below which derivatives are computed anew
 _LOCATED = 1.0e-9  # of a step: where a test function is zero
-_TRIES, _APART, _ASIDE = 6, 1.0e-5, 2.0e-3  # of the state: first step onto a doubled branch
+_TRIES = 6  # steps onto a doubled branch
+_ASIDE = 2.0e-3  # of the state: the first of them
+_APART = 1.0e-5  # of the state: a motion that repeats after fewer cycles
 _ROUNDING = 1.0e-9  # of the range: a value that a scene states by sine and cosine
 
 

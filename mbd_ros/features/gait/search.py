@@ -22,10 +22,7 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.variants import with_sections
 
 Start = Mapping[str, float]
-
-
 """Values of `<joint>.position` and `<joint>.velocity`."""
-
 
 _SAME = 1.0e-7  # of the state: two searches that ended in one gait
 

@@ -309,7 +309,6 @@ def _refined(
     return points, found, float(off.max())
 
 
-# How far activations of a trial are off between the points where it is looked at.
 def between(muscles: Sequence[Muscle], points: Points, found: Excited) -> Array:
     """Largest error of the activations over each interval, by their defect between the points.
 

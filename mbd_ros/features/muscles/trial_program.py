@@ -319,9 +319,8 @@ class MuscleBlocks:
         return Block("forces", force_form(pulls, kept), places, data, 0.0, 0.0, trial.sizes)
 
 
-# Where the unknowns of a trial of muscles stand in its program.
 class MuscleNumbers(NamedTuple):
-    """Numbers of unknowns: those of the start, then point by point in the order below.
+    """Where the unknowns stand: those of the start, then point by point in the order below.
 
     Attributes:
         degree: Points on an interval.

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
 MOST = 500  # samples that a network learns from
 MANY = 5000  # samples that corrections are learned from
 _BLOCKS = 5  # of time, each left out once
-_RANK, _HOLD = 2, 1.0e-3  # of matrices beside weights, and the penalty on them
+_RANK = 2  # of matrices beside weights
+_HOLD = 1.0e-3  # penalty on them
 _AROUND = 0.5  # of the scales: how far states without a measurement lie from measured ones
 INFORMED = 0.3  # weight of the equations of motion beside the data
 

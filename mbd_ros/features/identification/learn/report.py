@@ -1,4 +1,8 @@
-"""Files of learning, and the picture of a comparison."""
+"""Files of learning: the folder of a model, and the tables and the picture of a comparison.
+
+A folder holds the network (ONNX), its weights, from which learning goes on, and the scene that
+loads it.
+"""
 
 import io
 import json
@@ -31,7 +35,6 @@ from mbd_ros.methods.learned import about_of, check_robot
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 
-# The folder of a learned model: the network, its weights, the scene that loads it.
 MODEL, WEIGHTS, SCENE = "model.onnx", "weights.npz", "scene.yaml"
 _LARGEST = 256_000_000  # bytes of weights
 _MARKS = ("s", "D", "o", "^", "v")
