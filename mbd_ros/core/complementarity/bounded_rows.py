@@ -55,11 +55,14 @@ class BoundedRows:
     def __init__(self, constraints: ConstraintRows, nv: int, backend: str = "proxqp") -> None:
         self.constraints = constraints
         self.rows = constraints.rows
-        self._lower, self._upper = constraints.lower, constraints.upper
+        self._lower = constraints.lower
+        self._upper = constraints.upper
         self.qp = BoxQp(len(self.rows), backend, ("cold", "damped"))
         self._margins = [part.quick_margin for part in constraints.parts]
-        self._idle, self._no_force = np.zeros(len(self.rows)), np.zeros(nv)
-        self.multipliers, self.force = self._idle, self._no_force
+        self._idle = np.zeros(len(self.rows))
+        self._no_force = np.zeros(nv)
+        self.multipliers = self._idle
+        self.force = self._no_force
 
     @property
     def acts(self) -> bool:
@@ -162,7 +165,8 @@ class BoundedImpulses:
     """
 
     def __init__(self, A: Array, loose: Array, names: Sequence[str]) -> None:
-        self._names, diagonal = names, A.diagonal()
+        self._names = names
+        diagonal = A.diagonal()
         self._mobile = diagonal > HELD_BY_ROWS * loose
         self._unit = 1.0 / np.sqrt(diagonal[self._mobile])
         self._length = np.sqrt(np.where(loose > 0.0, loose, 1.0))

@@ -44,7 +44,9 @@ class ConeNewton:
     seen: Seen
 
     def __init__(self, A: Array, contacts: Contacts) -> None:
-        self.A, self.contacts, self.depends = A, contacts, True
+        self.A = A
+        self.contacts = contacts
+        self.depends = True
         self._places = cone_places(len(A), tuple(contacts.normal.tolist()))
 
     def damped(self, by: float) -> ConeNewton:

@@ -69,7 +69,10 @@ class ContactProblem:
     def __init__(
         self, A: Array, loose: Array, names: Sequence[str], cones: Sequence[Cone]
     ) -> None:
-        self._A, self._loose, self._names, self._cones = A, loose, names, cones
+        self._A = A
+        self._loose = loose
+        self._names = names
+        self._cones = cones
         is_one = len(A) == 3 and len(cones) == 1
         self._is_one = is_one and float(A[0, 0]) > HELD_BY_ROWS * float(loose[0])
         self._problem: ScaledContacts | None = None
@@ -192,14 +195,16 @@ class ScaledContacts:
     def __init__(
         self, A: Array, loose: Array, names: Sequence[str], cones: Sequence[Cone]
     ) -> None:
-        self._loose, self._names = loose, names
+        self._loose = loose
+        self._names = names
         mobile = A.diagonal() > HELD_BY_ROWS * loose
         self._moves = moves = mobile.copy()
         self._pulls_nothing = np.zeros(len(A), dtype=np.bool_)
         for cone in cones:
             moves[cone.slots] = mobile[cone.slots.start]
             self._pulls_nothing[cone.slots.start + 1 : cone.slots.stop] = True
-        self._at, place = moves.nonzero()[0], moves.cumsum() - 1
+        self._at = moves.nonzero()[0]
+        place = moves.cumsum() - 1
         at = self._at
         moved = [cone for cone in cones if moves[cone.slots.start]]
         normal = place[[cone.slots.start for cone in moved]].astype(np.intp)

@@ -33,7 +33,8 @@ class PushImpulses:
     """
 
     def __init__(self, G: Array, loose: Array, names: Sequence[str]) -> None:
-        self._names, square = names, np.einsum("ij,ij->j", G, G)
+        self._names = names
+        square = np.einsum("ij,ij->j", G, G)
         self._mobile = square > HELD_BY_ROWS * loose
         self._unit = 1.0 / np.sqrt(square[self._mobile])
         self._length = np.sqrt(np.where(loose > 0.0, loose, 1.0))

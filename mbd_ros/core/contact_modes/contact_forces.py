@@ -50,11 +50,13 @@ class ContactForces:
     """
 
     def __init__(self, rows: ConstraintRows) -> None:
-        self._cones, self._names = rows.cones, [row.name for row in rows.rows]
+        self._cones = rows.cones
+        self._names = [row.name for row in rows.rows]
         self._starts = np.array([cone.slots.start for cone in rows.cones], dtype=np.intp)
         self._of_contacts = (self._starts[:, None] + (0, 1, 2)).ravel()
         self._mu = np.array([cone.mu for cone in rows.cones])
-        self.split, self.grip = Split.ONE, 1.0
+        self.split = Split.ONE
+        self.grip = 1.0
 
     def solve(
         self,

@@ -48,7 +48,8 @@ class ExactRows:
     """
 
     def __init__(self, motion: Any, solver: BoundedRows) -> None:
-        self._motion, self.solver = motion, solver
+        self._motion = motion
+        self.solver = solver
         rows = self._rows = solver.constraints
         exact = [
             each for each in _each(rows.blocks) if not (each[2].law.is_rigid or each[2].smoothed)
@@ -58,7 +59,8 @@ class ExactRows:
         self.slots = rows.slots[self._at]
         self.reach = tuple(reach_of(block, own) for _, own, block in exact)
         self.restitution = np.array([block.law.restitution for *_, block in exact])
-        n, self.contacts = len(exact), None
+        n = len(exact)
+        self.contacts = None
         self._is_alone = n == len(rows.rows)  # no row is solved for in every evaluation
         if rows.cones:
             from mbd_ros.core.contact_modes.contact_modes import ContactModes
@@ -67,8 +69,10 @@ class ExactRows:
             self.contacts = ExactContacts(rows, self._at)
             self._modes = ContactModes(self.contacts)
         self._over = RowHeights(motion, rows, self._at, self.reach, self.contacts)
-        self.heights, self.approach = self._over.heights, self._over.approach
-        self.ways, self.onto = self._over.ways, self._over.onto
+        self.heights = self._over.heights
+        self.approach = self._over.approach
+        self.ways = self._over.ways
+        self.onto = self._over.onto
         self.lam, self.left, self.lower, self.upper, self._slack = np.zeros((5, n))
         self._pushing: tuple[Mode, Pushing | None] = ((), None)
 

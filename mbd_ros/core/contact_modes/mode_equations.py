@@ -48,7 +48,8 @@ class ContactsInMode:
     """
 
     def __init__(self, rows: ConstraintRows, contacts: ExactContacts, mode: Mode) -> None:
-        self._rows, self._contacts = rows, contacts
+        self._rows = rows
+        self._contacts = contacts
         m = len(rows.rows)
         on = {i for i, way in enumerate(mode[:m]) if way == 0}
         self._known = np.where(np.array(mode[:m]) == 1, rows.lower, rows.upper)
@@ -221,7 +222,8 @@ class ExactContacts:
         starts = [cone.slots.start for cone in rows.cones]
         self.normals: list[int] = np.searchsorted(at, starts).tolist()
         self.names = tuple(cone.name for cone in rows.cones)
-        self._rows, self.mu = rows, np.array([cone.mu for cone in rows.cones])
+        self._rows = rows
+        self.mu = np.array([cone.mu for cone in rows.cones])
         self._starts = np.array(starts, dtype=np.intp)
         self._tangents = self._starts[:, None] + (1, 2)
         self._flat = self._tangents.ravel()
@@ -229,7 +231,8 @@ class ExactContacts:
         self.forces = ContactForces(rows)
         self._known: tuple[Mode, ContactsInMode | None] = ((), None)
         self._asked: tuple[Any, bool, Balance | None] = ((), False, None)
-        self._count, self._has_no_others = len(at), len(rows.rows) == 3 * len(starts)
+        self._count = len(at)
+        self._has_no_others = len(rows.rows) == 3 * len(starts)
         self.moving: list[Array | None] = [None] * len(starts)
         self.slowest = 0.0
 

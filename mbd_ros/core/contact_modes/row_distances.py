@@ -46,7 +46,9 @@ class RowHeights:
         reach: tuple[Reach, ...],
         contacts: ExactContacts | None,
     ) -> None:
-        self._motion, self._rows, self._at = motion, rows, at
+        self._motion = motion
+        self._rows = rows
+        self._at = at
         self._contacts = contacts
         normals = [] if contacts is None else contacts.normals
         self._normals = np.array(normals, dtype=np.intp)

@@ -1,4 +1,8 @@
-"""Steps between states: exponential coordinates where a configuration space is curved."""
+"""The chart of a configuration space: q1 = q0 (+) dq, dq = q1 (-) q0.
+
+Configurations add up where the space is flat; free bodies move along screws, in exponential
+coordinates.
+"""
 
 from collections.abc import Iterable
 from typing import Any
@@ -31,7 +35,9 @@ class Chart:
     sizes: float | Array = 1.0
 
     def __init__(self, model: Any) -> None:
-        self.model, self.nq, self.nv = model, int(model.nq), int(model.nv)
+        self.model = model
+        self.nq = int(model.nq)
+        self.nv = int(model.nv)
         self.is_flat = self.nq == self.nv
         bases = [int(j.idx_v) for j in model.joints if j.nv == _BASE_V]
         self.bases = tuple(slice(v, v + _BASE_V) for v in bases)

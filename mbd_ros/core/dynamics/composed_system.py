@@ -62,18 +62,33 @@ class ComposedSystem:
         internals: Internals,
         build: Build,
     ) -> None:
-        self._motion, self._rigid, self._build = motion, rigid, build
-        self._mechanism, coordinates = motion.mechanism, motion.coordinates
+        self._motion = motion
+        self._rigid = rigid
+        self._build = build
+        self._mechanism = motion.mechanism
+        coordinates = motion.coordinates
         self.held, self.coordinates = held, coordinates  # of what is integrated, and all joints
-        self.tier, self.chart = motion.tier, coordinates.chart
-        self.robot, self.loads = self._mechanism.robot, self._mechanism.loads
-        self.model, self.k = self._mechanism.model, self._mechanism.k
-        self.nq, self.nv = self.chart.nq, self.chart.nv
-        self.bounded, self.exact, self.layout, self.internals = bounded, exact, layout, internals
-        self.constraints, self.sizes = rigid.constraints, rigid.sizes
-        self.residual, self.jacobian, self.rate = rigid.residual, rigid.jacobian, rigid.rate
-        self.expand, self.reduce = coordinates.expand, coordinates.reduce
-        self.lift, self.integrated = coordinates.lift, coordinates.integrated
+        self.tier = motion.tier
+        self.chart = coordinates.chart
+        self.robot = self._mechanism.robot
+        self.loads = self._mechanism.loads
+        self.model = self._mechanism.model
+        self.k = self._mechanism.k
+        self.nq = self.chart.nq
+        self.nv = self.chart.nv
+        self.bounded = bounded
+        self.exact = exact
+        self.layout = layout
+        self.internals = internals
+        self.constraints = rigid.constraints
+        self.sizes = rigid.sizes
+        self.residual = rigid.residual
+        self.jacobian = rigid.jacobian
+        self.rate = rigid.rate
+        self.expand = coordinates.expand
+        self.reduce = coordinates.reduce
+        self.lift = coordinates.lift
+        self.integrated = coordinates.integrated
         self.applied = coordinates.applied
         self.rows: tuple[Row, ...] = rigid.rows
         self.multiplier_rows: tuple[Row, ...] = layout.rows
@@ -234,9 +249,12 @@ class ModeAccelerators:
         internals: Internals,
         rates: Callable[[State, Array | None], Array],
     ) -> None:
-        self._motion, self._mechanism = motion, motion.mechanism
-        self._bounded, self._exact = bounded, exact
-        self._internals, self._rates = internals, rates
+        self._motion = motion
+        self._mechanism = motion.mechanism
+        self._bounded = bounded
+        self._exact = exact
+        self._internals = internals
+        self._rates = rates
         self._made = dict[Mode, Accelerator]()
 
     def of(self, mode: Mode) -> Accelerator:

@@ -41,7 +41,8 @@ class GapSpeed:
 
     def __init__(self, robot: Robot, bodies: Sequence[tuple[Pair, float] | None]) -> None:
         n, nv = len(bodies), int(robot.model.nv)
-        self._carriers, self._radii = [0] * n, np.full((n, 1), np.inf)
+        self._carriers = [0] * n
+        self._radii = np.full((n, 1), np.inf)
         between = np.zeros((n, nv))
         for i, each in enumerate(bodies):
             if each is not None:
@@ -51,12 +52,15 @@ class GapSpeed:
                 between[i] = np.abs(each[0].columns)
         linear, angular, self._joints = _subspaces(robot.model)
         self.turns = angular
-        self._linear, self._angular = between * linear, between * angular
+        self._linear = between * linear
+        self._angular = between * angular
         of = np.array([_links(robot.model, c, linear, self._joints) for c in self._carriers])
         self._most = of.reshape(n, nv) + self._radii
         self._is_known = np.isfinite(self._radii[:, 0])
         self._radii[~self._is_known] = 0.0
-        self.weights, self.room, self._length = np.zeros((n, nv)), np.zeros(n), np.zeros(n)
+        self.weights = np.zeros((n, nv))
+        self.room = np.zeros(n)
+        self._length = np.zeros(n)
 
     @property
     def is_measured(self) -> bool:

@@ -52,15 +52,22 @@ class Extended:
     """
 
     def __init__(self, system: System) -> None:
-        self.system, internals = system, system.internals
+        self.system = system
+        internals = system.internals
         sizes = np.minimum(internals.upper - internals.lower, 1.0)
         self.chart = ExtendedChart(system.chart, sizes)
-        self.nq, self.nv, self.bounded = self.chart.nq, self.chart.nv, system.bounded
+        self.nq = self.chart.nq
+        self.nv = self.chart.nv
+        self.bounded = system.bounded
         self.upper = np.concatenate((np.full(system.nv, np.inf), internals.upper))
-        self._nq, self._nv, self._nz = system.nq, system.nv, internals.nz
+        self._nq = system.nq
+        self._nv = system.nv
+        self._nz = internals.nz
         self.held = ExtendedRows(system.held, system.nq, internals.nz)
         rows = ExtendedRows(system, system.nq, internals.nz)
-        self.residual, self.jacobian, self.rate = rows.residual, rows.jacobian, rows.rate
+        self.residual = rows.residual
+        self.jacobian = rows.jacobian
+        self.rate = rows.rate
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self.system, name)
@@ -144,8 +151,11 @@ class ExtendedChart:
     """
 
     def __init__(self, chart: Chart, sizes: Array) -> None:
-        self._chart, nz = chart, len(sizes)
-        self.nq, self.nv, self.is_flat = chart.nq + nz, chart.nv + nz, chart.is_flat
+        self._chart = chart
+        nz = len(sizes)
+        self.nq = chart.nq + nz
+        self.nv = chart.nv + nz
+        self.is_flat = chart.is_flat
         ones = np.ones(chart.nv)
         self.sizes = np.concatenate((ones, np.full(nz, np.inf), ones, sizes))
 
@@ -182,7 +192,8 @@ class ExtendedRows:
     """
 
     def __init__(self, rows: RigidRows | System, nq: int, nz: int) -> None:
-        self._rows, self._nq = rows, nq
+        self._rows = rows
+        self._nq = nq
         self._none = np.zeros((len(rows.rows), nz))
 
     def __getattr__(self, name: str) -> Any:

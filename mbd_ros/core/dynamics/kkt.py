@@ -43,20 +43,26 @@ class Kkt:
     tier = "kkt"
 
     def __init__(self, mechanism: Mechanism, rigid: RigidRows) -> None:
-        self.mechanism, self._rigid = mechanism, rigid
+        self.mechanism = mechanism
+        self._rigid = rigid
         self.coordinates = AllJoints(mechanism)
-        self._constraints, self._loads = rigid.constraints, mechanism.loads
+        self._constraints = rigid.constraints
+        self._loads = mechanism.loads
         self._reads = max(rigid.constraints.reads, mechanism.loads.reads)
         model, data = mechanism.model, mechanism.data
-        self._crba, self._bias = partial(pin.crba, model, data), partial(_bias, model, data)
+        self._crba = partial(pin.crba, model, data)
+        self._bias = partial(_bias, model, data)
         self._forward = partial(pin.forwardDynamics, model, data)
         m, nv, sizes = len(rigid.rows), int(mechanism.model.nv), rigid.sizes
         self._row_jacobian = np.zeros((m, nv))
         self._lam: Array | None = None
         self._weights = sizes.weights if sizes else np.zeros((m, nv))
-        self._weighted, self._gram = np.zeros((m, nv)), np.zeros((m, m))
+        self._weighted = np.zeros((m, nv))
+        self._gram = np.zeros((m, m))
         self._square = partial(self._weighted.dot, self._weighted.T, self._gram)
-        self._is_single, self._is_pair, self._cholesky = m == 1, m == 2, eigenpy.LLT(m)
+        self._is_single = m == 1
+        self._is_pair = m == 2
+        self._cholesky = eigenpy.LLT(m)
         self._least = 0.0 if sizes is None else _REGULAR * float(sizes.square.min())
 
     def accelerate(

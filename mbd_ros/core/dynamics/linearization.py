@@ -43,7 +43,8 @@ class Linearization:
     """
 
     def __init__(self, system: Any, field: Accelerator) -> None:
-        self._system, self._field = system, field
+        self._system = system
+        self._field = field
         self._step, self._base, self._moved = np.zeros((3, system.nv))
         self._upper: Array | None = getattr(system, "upper", None)
         self.stiffness = np.zeros((system.nv, system.nv))
@@ -135,9 +136,12 @@ class FreeDerivatives:
     """
 
     def __init__(self, mechanism: Mechanism, chart: Chart, internals: Internals) -> None:
-        self._mechanism, self._chart, self._internals = mechanism, chart, internals
+        self._mechanism = mechanism
+        self._chart = chart
+        self._internals = internals
         self._nv, self._nz = nv, nz = int(mechanism.model.nv), internals.nz
-        self._constant, self._varying = np.zeros((nv + nz, 2 * nv + nz)), list[Load]()
+        self._constant = np.zeros((nv + nz, 2 * nv + nz))
+        self._varying = list[Load]()
         for part in (*mechanism.loads.actuators, *mechanism.loads.forces):
             slopes = part.constant_slopes(nv, nz)
             if slopes is None:
@@ -147,7 +151,7 @@ class FreeDerivatives:
         self._moving = [part for part in self._varying if part.internal]
 
     def at(self, y: State, u: Array | None, *, inputs: bool) -> Derivatives:
-        """As `System.derivatives`."""
+        """Derivatives of the accelerations and rates at a state."""
         mechanism, nv, nz = self._mechanism, self._nv, self._nz
         u = mechanism.loads.inputs(y, u)
         force = self._loads(y, u)
@@ -209,7 +213,7 @@ class FreeDerivatives:
             step[i] = 0.0
 
     def _of_varying(self, y: State, u: Array) -> Array:
-        """As `_loads`, of the loads that do not know their slopes."""
+        """Forces and rates of the loads that do not know their slopes, shape (nv + nz,)."""
         mechanism, internals, nv = self._mechanism, self._internals, self._nv
         x = y._replace(z=internals.inside(y.z)) if self._nz else y
         k, total = mechanism.k, np.zeros(nv + self._nz)
@@ -237,7 +241,8 @@ class Balance:
     """
 
     def __init__(self, system: Any) -> None:
-        self._system, self._kept = system, system.held
+        self._system = system
+        self._kept = system.held
         self._linearization = Linearization(system, self._write)
 
     def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:

@@ -43,8 +43,10 @@ class Mechanism:
     """
 
     def __init__(self, robot: Robot, loads: Loads) -> None:
-        self.robot, self.loads = robot, loads
-        self.model, self.data = robot.model, pin.Data(robot.model)
+        self.robot = robot
+        self.loads = loads
+        self.model = robot.model
+        self.data = pin.Data(robot.model)
         self.k = Kinematics(robot, self.data)
         self.zero: Array = np.zeros(self.model.nv)
         self.evaluations = 0
@@ -105,7 +107,8 @@ class RigidRows:
     def __init__(
         self, mechanism: Mechanism, constraints: ConstraintRows, sizes: UsualSizes | None = None
     ) -> None:
-        self._mechanism, self.constraints = mechanism, constraints
+        self._mechanism = mechanism
+        self.constraints = constraints
         self.rows: tuple[Row, ...] = constraints.rows
         self._of_g, self._of_J = (
             min(constraints.reads, reads) for reads in (Reads.POSITION, Reads.JACOBIAN)
@@ -169,7 +172,9 @@ class ImpulseResponse:
     """
 
     def __init__(self, M: Array, J: Array | None, hold: Array, factor: RowFactor | None) -> None:
-        self._mass, self._hold, self._factor = eigenpy.LLT(M), hold, factor
+        self._mass = eigenpy.LLT(M)
+        self._hold = hold
+        self._factor = factor
         if J is not None:
             self._respond(J)
 

@@ -29,7 +29,8 @@ class Aba:
     tier = "aba"
 
     def __init__(self, mechanism: Mechanism) -> None:
-        self.mechanism, self.coordinates = mechanism, AllJoints(mechanism)
+        self.mechanism = mechanism
+        self.coordinates = AllJoints(mechanism)
         self._aba = partial(pin.aba, mechanism.model, mechanism.data)
 
     def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
@@ -103,7 +104,8 @@ class AllJoints:
     """
 
     def __init__(self, mechanism: Mechanism) -> None:
-        self._mechanism, self.chart = mechanism, Chart(mechanism.model)
+        self._mechanism = mechanism
+        self.chart = Chart(mechanism.model)
         self.mass = mechanism.mass
 
     def expand(self, y: State) -> State:

@@ -1,4 +1,4 @@
-"""What the parts of a scene show at a state, under the names of columns."""
+"""Outputs of the parts of a scene at a state, under the names of columns."""
 
 from collections.abc import Iterator, Sequence
 

@@ -1,4 +1,4 @@
-"""One system a phase, behind one `System`: the mode of a state says which."""
+"""Motion in phases: one system a phase, behind one `System`; the mode of a state says which."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -43,17 +43,30 @@ class PhasedSystem:
         first: int = 0,
     ) -> None:
         self.phases = tuple(phases)
-        self.systems, self.layout, self.slots, self.first = tuple(systems), layout, slots, first
+        self.systems = tuple(systems)
+        self.layout = layout
+        self.slots = slots
+        self.first = first
         self.multiplier_rows = layout.rows
         names = [() if s.exact is None else s.exact.names for s in systems]
         self.switches = tuple(dict.fromkeys(name for each in names for name in each))
         self._at = [[self.switches.index(name) for name in each] for each in names]
         now = self._now = self.systems[first]
-        self.robot, self.model, self.loads, self.k = now.robot, now.model, now.loads, now.k
-        self.internals, self.sizes, self.tier = now.internals, now.sizes, now.tier
-        self.chart, self.nq, self.nv = now.chart, now.nq, now.nv
-        self.rows, self.constraints, self.held = now.rows, now.constraints, now.held
-        self.bounded, self.exact = now.bounded, now.exact
+        self.robot = now.robot
+        self.model = now.model
+        self.loads = now.loads
+        self.k = now.k
+        self.internals = now.internals
+        self.sizes = now.sizes
+        self.tier = now.tier
+        self.chart = now.chart
+        self.nq = now.nq
+        self.nv = now.nv
+        self.rows = now.rows
+        self.constraints = now.constraints
+        self.held = now.held
+        self.bounded = now.bounded
+        self.exact = now.exact
 
     def phase(self, x: State) -> int:
         """Number of the phase of a state."""
@@ -83,97 +96,97 @@ class PhasedSystem:
         return whole
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
-        """As `System.evaluate`, with the multipliers of the scene."""
+        """Accelerations, the multipliers of the scene and the response to forces, at a state."""
         phase = self.phase(x)
         found = self.systems[phase].evaluate(self.inward(x), u)
         return found._replace(x=x, lam=self.impulse(phase, found.lam))
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """As `System.accelerator`."""
+        """The function that writes accelerations in a mode, and rates with internal states."""
         if not mode:
             return self._now.accelerator()
         return self.systems[mode[0]].accelerator(tuple(mode[1 + i] for i in self._at[mode[0]]))
 
     def rates(self, y: State, u: Array | None = None) -> Array:
-        """As `System.rates`."""
+        """Rates of the internal states at a state, shape (nz,)."""
         return self.during(y).rates(self.inward(y), u)
 
     def at_rest(self, y: State, u: Array | None = None) -> Array:
-        """As `System.at_rest`."""
+        """Internal states with what parts know of their equilibrium, NaN where none is known."""
         return self.during(y).at_rest(self.inward(y), u)
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """As `System.derivatives`."""
+        """Derivatives of the accelerations in the phase of a state."""
         return self.during(y).derivatives(self.inward(y), u, inputs=inputs)
 
     def with_loads(self, loads: Loads) -> "PhasedSystem":
-        """As `System.with_loads`; guards of each phase stay."""
+        """The same phases, built for other loads; guards of each phase stay."""
         changed = [
             system.with_loads(loads.watched_by(system.loads.watching)) for system in self.systems
         ]
         return PhasedSystem(self.phases, changed, self.layout, self.slots, self.first)
 
     def with_gains(self, kp: float, kd: float) -> "PhasedSystem":
-        """As `System.with_gains`."""
+        """The same phases with g'' + kd g' + kp g = 0 of rigid rows; kp [1/s^2], kd [1/s]."""
         changed = [system.with_gains(kp, kd) for system in self.systems]
         if all(one is other for one, other in zip(changed, self.systems, strict=True)):
             return self
         return PhasedSystem(self.phases, changed, self.layout, self.slots, self.first)
 
     def expand(self, y: State) -> State:
-        """As `System.expand`."""
+        """State of all joints."""
         return self.during(y).expand(y)
 
     def reduce(self, x: State) -> State:
-        """As `System.reduce`."""
+        """State of what is integrated."""
         return self.during(x).reduce(x)
 
     def lift(self, y: State, a: Array) -> Array:
-        """As `System.lift`."""
+        """Accelerations of all joints from those of what is integrated."""
         return self.during(y).lift(y, a)
 
     def energy(self, y: State) -> float:
-        """As `System.energy`."""
+        """Kinetic and potential energy [J]."""
         return self.during(y).energy(y)
 
     def applied_with(self, y: State, u: Array | None = None) -> Array:
-        """As `System.applied_with`."""
+        """Generalized force tau - h at a state with internal states, shape (nv,)."""
         return self.during(y).applied_with(y, u)
 
     def integrated(self, a: Array) -> Array:
-        """As `System.integrated`."""
+        """Values of what is integrated among those of all joints."""
         return self._now.integrated(a)
 
     def mass(self, q: Array) -> Mass:
-        """As `System.mass`."""
+        """Mass matrix of the first phase."""
         return self._now.mass(q)
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """As `System.applied`."""
+        """Generalized force tau - h in the first phase, shape (nv,)."""
         return self._now.applied(t, q, v, u)
 
     def residual(self, t: float, q: Array) -> Array:
-        """As `System.residual`."""
+        """Residual of the rows of the first phase."""
         return self._now.residual(t, q)
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """As `System.jacobian`."""
+        """Jacobian of the rows of the first phase."""
         return self._now.jacobian(t, q)
 
     def rate(self, t: float, q: Array) -> Array:
-        """As `System.rate`."""
+        """Rate dg/dt of the rows of the first phase."""
         return self._now.rate(t, q)
 
     def factorise(self, t: float, q: Array) -> RowFactor:
-        """As `System.factorise`."""
+        """Factor of the rows of the first phase."""
         return self._now.factorise(t, q)
 
     @property
     def condition(self) -> float:
-        """As `System.condition`."""
+        """Condition number of the rows of the first phase."""
         return self._now.condition
 
     @property
     def evaluations(self) -> int:
-        """As `System.evaluations`, of all phases."""
+        """How often the equations of motion of all phases were asked."""
         return sum(system.evaluations for system in self.systems)

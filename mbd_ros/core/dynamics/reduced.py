@@ -43,10 +43,17 @@ class Reduced:
         self.mechanism = mechanism
         self.coordinates = joints = IndependentJoints(mechanism, couplings)
         n = joints.chart.nv
-        self._at, self._bias, self._G, self._GT = joints.at, joints.bias, joints.G, joints.G.T
-        self._q, self._v, self._shape = joints.q, joints.v, (n,)
-        self._is_linear, self._minus_GT = joints.is_linear, -joints.G.T
-        self._half, self._M = np.zeros((n, mechanism.model.nv)), np.zeros((n, n))
+        self._at = joints.at
+        self._bias = joints.bias
+        self._G = joints.G
+        self._GT = joints.G.T
+        self._q = joints.q
+        self._v = joints.v
+        self._shape = (n,)
+        self._is_linear = joints.is_linear
+        self._minus_GT = -joints.G.T
+        self._half = np.zeros((n, mechanism.model.nv))
+        self._M = np.zeros((n, n))
         self._r = np.zeros(n)
         self._cholesky = eigenpy.LLT(n)
 
@@ -111,7 +118,8 @@ class Mimic:
     tier = "reduced"
 
     def __init__(self, mechanism: Mechanism, couplings: Couplings, model: Any) -> None:
-        self.mechanism, self.coordinates = mechanism, IndependentJoints(mechanism, couplings)
+        self.mechanism = mechanism
+        self.coordinates = IndependentJoints(mechanism, couplings)
         self._cholesky = eigenpy.LLT(self.coordinates.chart.nv)
         self._bias = partial(pin.nonLinearEffects, model, pin.Data(model))
         self._mass = mass_matrix(model)
@@ -233,10 +241,15 @@ class IndependentJoints:
     """
 
     def __init__(self, mechanism: Mechanism, couplings: Couplings) -> None:
-        self._mechanism, self.couplings, model = mechanism, couplings, mechanism.model
+        self._mechanism = mechanism
+        self.couplings = couplings
+        model = mechanism.model
         self.chart = chart_of(model, couplings.v_index)
-        self._qi, self._vi = couplings.q_index, couplings.v_index
-        self.q, self.v, self.a = pin.neutral(model), np.zeros(model.nv), np.zeros(model.nv)
+        self._qi = couplings.q_index
+        self._vi = couplings.v_index
+        self.q = pin.neutral(model)
+        self.v = np.zeros(model.nv)
+        self.a = np.zeros(model.nv)
         self._still = np.zeros(self.chart.nv)
         self.slopes = [0.0] * len(couplings.pairs)
         linear = all(isinstance(pair.function, Linear) for pair in couplings.pairs)

@@ -82,9 +82,12 @@ class _Plan:
         limited: Sequence[RowBlock],
         backend: str,
     ) -> None:
-        self._robot, self._couplings, self._layout = robot, couplings, layout
+        self._robot = robot
+        self._couplings = couplings
+        self._layout = layout
         self._internals = internals
-        self._limited, self._backend = tuple(limited), backend
+        self._limited = tuple(limited)
+        self._backend = backend
         self._held = layout.rigid if is_kept else ()
         self._kept = tuple(block for block in self._held if block.level is Level.POSITION)
         self._is_reduced = bool(couplings.dependent) and not is_kept

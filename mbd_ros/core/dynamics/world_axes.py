@@ -92,7 +92,8 @@ class WorldChart(Chart):
 
     def __init__(self, chart: Chart) -> None:
         super().__init__(chart.model)
-        self._own, self._bodies = chart, FreeBodies(chart.model)
+        self._own = chart
+        self._bodies = FreeBodies(chart.model)
 
     def integrate(self, q: Array, dq: Array) -> Array:
         """Configuration q (+) dq, shape (nq,)."""

@@ -38,7 +38,8 @@ class ContactScreening(StepRows):
         super().__init__(mechanism, rows)
         self._sets: dict[bytes, Acting] = {}
         self._longer = 1.0 if is_whole else _CURVED
-        self._data, self._m = mechanism.data, len(rows.rows)
+        self._data = mechanism.data
+        self._m = len(rows.rows)
         blocks = list(zip(rows.blocks, rows.slices, strict=True))
         own = [(block.part, at) for block, at in blocks if block.law.kind is Kind.CONE]
         others = [(block, at) for block, at in blocks if block.law.kind is not Kind.CONE]
@@ -51,8 +52,11 @@ class ContactScreening(StepRows):
         self._others_push = bool(self.every.pushes[is_other].any())
         self._speed = GapSpeed(mechanism.robot, [bodies_of(part) for part, _ in own])
         self._responded: tuple[bytes, bytes, ImpulseResponse] | None = None
-        self._room, self._spare, self._q = np.zeros(len(own)), 0.0, mechanism.zero
-        self._way, self._ways = mechanism.zero, mechanism.zero.copy()
+        self._room = np.zeros(len(own))
+        self._spare = 0.0
+        self._q = mechanism.zero
+        self._way = mechanism.zero
+        self._ways = mechanism.zero.copy()
         acting = self._acting(self.every.at[:0])
         self._nothing = RowsAt(acting, np.zeros((0, len(self._way))), *np.zeros((3, 0)))
 

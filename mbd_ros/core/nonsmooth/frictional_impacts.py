@@ -1,4 +1,11 @@
-"""Impulses of impacts with friction: the compression, then the expansion that Poisson asks for."""
+"""Impulses of impacts with friction: the compression, then the expansion that Poisson asks for.
+
+    compression   p_n >= 0,      w_n >= 0,   p_n w_n = 0,               Coulomb's law with w_c
+    expansion     p_n >= s e c,  w_n >= 0,   (p_n - s e c) w_n = 0,     Coulomb's law with w+
+
+c are the normal impulses of the compression, w rates of the rows after it and after both, e the
+restitution. The share s is 1, or less where the whole would gain energy; `impact_map` says why.
+"""
 
 from collections.abc import Sequence
 

@@ -50,7 +50,8 @@ class ImpactMap:
         self._mechanism = Mechanism(system.robot, system.loads)
         self._rigid = RigidRows(self._mechanism, ConstraintRows(layout.rigid, nv))
         self._bilateral = self._rigid.constraints.slots
-        self._rows, pushing = layout.rows, layout.having(Kind.UNILATERAL, Kind.CONE)
+        self._rows = layout.rows
+        pushing = layout.having(Kind.UNILATERAL, Kind.CONE)
         self._pushing = [(block, block.cones()) for block in pushing]
         self._restitution = np.zeros(len(layout.rows))
         for block in pushing:

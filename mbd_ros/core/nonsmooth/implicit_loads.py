@@ -42,9 +42,13 @@ class ImplicitLoads:
     """
 
     def __init__(self, mechanism: Mechanism, internals: Internals) -> None:
-        self._mechanism, self._internals, self.model = mechanism, internals, mechanism.model
+        self._mechanism = mechanism
+        self._internals = internals
+        self.model = mechanism.model
         chart, sizes = AllJoints(mechanism).chart, np.ones(internals.nz)
-        self.chart, self._nq, self._nv = ExtendedChart(chart, sizes), chart.nq, chart.nv
+        self.chart = ExtendedChart(chart, sizes)
+        self._nq = chart.nq
+        self._nv = chart.nv
         self.nv = chart.nv + internals.nz
         self.upper = np.concatenate((np.full(chart.nv, np.inf), internals.upper))
         self._loads: Loads = mechanism.loads

@@ -71,7 +71,8 @@ class MoreauJeanStep:
 
     def __init__(self, system: System, theta: float) -> None:
         nv, layout = int(system.model.nv), system.layout
-        self._system, self._theta = system, theta
+        self._system = system
+        self._theta = theta
         self._mechanism = mechanism = Mechanism(system.robot, system.loads)
         self._loads = ImplicitLoads(mechanism, system.internals)
         gains = system.constraints.gains
@@ -295,7 +296,8 @@ class FreeBodyStep(MoreauJeanStep):
 
     def __init__(self, system: System, theta: float) -> None:
         super().__init__(system, theta)
-        self._bodies, self._integrated = FreeBodies(system.model), FreeBodies(system.chart.model)
+        self._bodies = FreeBodies(system.model)
+        self._integrated = FreeBodies(system.chart.model)
         self._q = system.robot.neutral()
         self._axes = self._bodies.axes(self._q)
 
@@ -385,7 +387,9 @@ class PositionCorrection:
     """
 
     def __init__(self, mechanism: Mechanism, rigid: RigidRows, rows: StepRows) -> None:
-        self._mechanism, self._rigid, self._rows = mechanism, rigid, rows
+        self._mechanism = mechanism
+        self._rigid = rigid
+        self._rows = rows
         self._no_rows = np.zeros((0, int(mechanism.model.nv)))
 
     def way(self, x: State) -> Array | None:

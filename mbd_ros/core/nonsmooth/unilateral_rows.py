@@ -146,7 +146,8 @@ class UnilateralSolver:
     """
 
     def __init__(self, rows: ConstraintRows) -> None:
-        self._rows, self.last = rows, np.zeros(0)
+        self._rows = rows
+        self.last = np.zeros(0)
         self.shared: tuple[Any, ...] = ()
         self.worst: Any = None
         self.forces: Array | None = None
@@ -222,7 +223,9 @@ class StepRows:
     """
 
     def __init__(self, mechanism: Mechanism, rows: ConstraintRows) -> None:
-        self._k, self.rows, self.every = mechanism.k, rows, every(rows)
+        self._k = mechanism.k
+        self.rows = rows
+        self.every = every(rows)
         self.are_one_sided = bool(self.every.pushes.any())
         self._of_g, self._of_J = (
             min(rows.reads, reads) for reads in (Reads.POSITION, Reads.JACOBIAN)

@@ -60,7 +60,8 @@ class BoxQp:
     def __init__(
         self, n: int, backend: str = "proxqp", rungs: Sequence[str] = ("warm", "cold", "damped")
     ) -> None:
-        self.statistics, self._rungs = Statistics(), tuple(rungs)
+        self.statistics = Statistics()
+        self._rungs = tuple(rungs)
         self._damping = _DAMPING * np.eye(n)
         self._solver = KeptProxQp(n) if backend == "proxqp" else OtherSolver(backend)
 

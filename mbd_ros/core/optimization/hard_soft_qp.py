@@ -61,11 +61,15 @@ class HardSoftQp:
     def __init__(self, n: int, soft: int) -> None:
         self.counts = Counts()
         size = n + soft
-        self._n, self._qp = n, KeptProxQp(size, soft)
-        self._H, self._g, self._C = np.zeros((size, size)), np.zeros(size), np.zeros((soft, size))
+        self._n = n
+        self._qp = KeptProxQp(size, soft)
+        self._H = np.zeros((size, size))
+        self._g = np.zeros(size)
+        self._C = np.zeros((soft, size))
         self._C[:, n:] = _COMPLIANCE**0.5 * np.eye(soft)
         self._yielding = np.arange(n, size)
-        self._low, self._high = np.full(size, -np.inf), np.full(size, np.inf)
+        self._low = np.full(size, -np.inf)
+        self._high = np.full(size, np.inf)
         self._side: Sides = np.zeros(size, dtype=np.int8)
         self._is_steady = False  # whether the same limits acted twice
 
@@ -255,7 +259,10 @@ class BoundedLeastSquares:
     """
 
     def __init__(self, E: Array, C: Array, low: Array, high: Array) -> None:
-        self._E, self._C, self._low, self._high = E, C, low, high
+        self._E = E
+        self._C = C
+        self._low = low
+        self._high = high
         self._all = np.concatenate([np.eye(len(E)), C])
 
     def solve(self, lower: Array, upper: Array) -> Array:

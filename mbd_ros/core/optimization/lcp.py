@@ -32,7 +32,8 @@ class ComplementarityProblem:
 
     def __init__(self, n: int) -> None:
         self._qp = BoxQp(n)
-        self._identity, self._none = np.eye(n), np.zeros(n)
+        self._identity = np.eye(n)
+        self._none = np.zeros(n)
         self._infinite = np.full(n, np.inf)
         self._acting = np.zeros(n, dtype=np.bool_)
 

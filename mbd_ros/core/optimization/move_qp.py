@@ -64,7 +64,8 @@ class _OnRows:
     """Moves that keep J p."""
 
     def __init__(self, W: Array, J: Array) -> None:
-        self._J, self.cholesky = J, eigenpy.LLT(W)
+        self._J = J
+        self.cholesky = eigenpy.LLT(W)
         self._factor = RowFactor(W, J) if len(J) else None
         self.condition = 1.0 if self._factor is None else self._factor.condition
 

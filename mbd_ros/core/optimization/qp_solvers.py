@@ -41,7 +41,8 @@ class KeptProxQp:
             from proxsuite import proxqp
         except ImportError as error:
             raise ModelError(f"solver qp: {install_hint('proxsuite')}") from error
-        self._proxqp, self._size = proxqp, (n, 0, rows)
+        self._proxqp = proxqp
+        self._size = (n, 0, rows)
         self._kept: Any = None
 
     def solve(

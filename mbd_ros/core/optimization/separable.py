@@ -71,7 +71,8 @@ class SeparableProgram:
 
     def __init__(self, n: int, rows: int) -> None:
         self.statistics = Statistics()
-        self._x, self._lam = np.zeros(n), np.zeros(rows)
+        self._x = np.zeros(n)
+        self._lam = np.zeros(rows)
 
     def forget(self) -> None:
         """Start the next solve as the first one started."""

@@ -51,9 +51,13 @@ class NearestCoupled:
         of_position: LimitForces,
         of_velocity: LimitForces,
     ) -> None:
-        self._joints, self._lower, self._upper = joints, lower, upper
-        self._of_position, self._of_velocity = of_position, of_velocity
-        self._zero, self._limits_act = np.zeros(len(lower)), False
+        self._joints = joints
+        self._lower = lower
+        self._upper = upper
+        self._of_position = of_position
+        self._of_velocity = of_velocity
+        self._zero = np.zeros(len(lower))
+        self._limits_act = False
 
     def find(self, x: State, W: Array, W_velocity: Array) -> Nearest | None:
         """The nearest state; None where this method does not find it.
@@ -202,7 +206,8 @@ class CoupledJoints:
         self.ancestry[self.free, np.arange(len(self.free))] = 1.0
         for child, parent, _ in self._pairs:
             self.ancestry[child] = self.ancestry[parent]
-        self._ones, self._zeros = [1.0] * n, [0.0] * n
+        self._ones = [1.0] * n
+        self._zeros = [0.0] * n
 
     def at(self, start: Array) -> Place:
         """F and its derivatives.
@@ -272,7 +277,8 @@ class Tangent:
     """
 
     def __init__(self, ancestry: Array, slope: Array, W: Array, bend: Array | None = None) -> None:
-        self._ancestry, self._G = ancestry, ancestry * slope[:, None]
+        self._ancestry = ancestry
+        self._G = ancestry * slope[:, None]
         H = self._G.T.dot(W.dot(self._G))
         if bend is not None:
             H += ancestry.T.dot(bend[:, None] * ancestry)

@@ -23,11 +23,14 @@ class ObservedState:
     """
 
     def __init__(self, system: System, couplings: Couplings) -> None:
-        self._system, self._couplings = system, couplings
-        self._neutral, self._nv = system.robot.neutral(), int(system.robot.model.nv)
+        self._system = system
+        self._couplings = couplings
+        self._neutral = system.robot.neutral()
+        self._nv = int(system.robot.model.nv)
         self._slopes: Slopes = [0.0] * len(couplings.pairs)
         self._dependent_q = [pair.child_q for pair in couplings.pairs]
-        self.moved, self.dependent = 0.0, np.zeros(len(couplings.pairs))
+        self.moved = 0.0
+        self.dependent = np.zeros(len(couplings.pairs))
 
     def state(self, t: float, position: Array, velocity: Array) -> State:
         """The state at a time.

@@ -144,8 +144,10 @@ class StateProjector:
             raise ModelError(f"the projector takes joint states alone, and no poses of {free}")
         if n != system.model.nv:
             raise ModelError(f"tier {system.tier} eliminates joints: tier kkt keeps all")
-        self.system, self._amplification = system, amplification
-        self.lower, self.upper = np.full(n, -np.inf), np.full(n, np.inf)
+        self.system = system
+        self._amplification = amplification
+        self.lower = np.full(n, -np.inf)
+        self.upper = np.full(n, np.inf)
         for joint in joints if limits else ():
             self.lower[joint.v], self.upper[joint.v] = joint.lower, joint.upper
         is_bounded = bool(np.isfinite([self.lower, self.upper]).any())
@@ -275,7 +277,9 @@ class NearestOnRows:
         of_position: LimitForces,
         of_velocity: LimitForces,
     ) -> None:
-        self._system, self._lower, self._upper = system, lower, upper
+        self._system = system
+        self._lower = lower
+        self._upper = upper
         self._configuration = NearestConfiguration(system, lower, upper, of_position)
         self._program = MoveQp(system.nv, of_velocity)
         self._zero = np.zeros(system.nv)
@@ -363,9 +367,12 @@ class NearestConfiguration:
     """
 
     def __init__(self, system: System, lower: Array, upper: Array, limits: LimitForces) -> None:
-        self._system, self._lower, self._upper = system, lower, upper
+        self._system = system
+        self._lower = lower
+        self._upper = upper
         self._program = MoveQp(system.nv, limits)
-        self._zero, self._far = np.zeros(system.nv), np.full(system.nv, np.inf)
+        self._zero = np.zeros(system.nv)
+        self._far = np.full(system.nv, np.inf)
 
     def rows(self, t: float, q: Array) -> Rows:
         """Residual g and Jacobian J, shapes (m,) and (m, nv).

@@ -67,7 +67,8 @@ class SimulatedFlow(CheckedSteps):
         turning: Array | None = None,
     ) -> None:
         super().__init__(system, integrator, stabilization, dt)
-        self._ends_cycle, self.longest = ends_cycle, longest
+        self._ends_cycle = ends_cycle
+        self.longest = longest
         phased = self.system if isinstance(self.system, PhasedSystem) else None
         self._phased = phased
         systems = (self.system,) if phased is None else phased.systems

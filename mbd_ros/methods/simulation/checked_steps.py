@@ -56,13 +56,16 @@ class CheckedSteps:
         if not dt > 0:
             raise ModelError(f"dt {dt:g} s must be > 0")
         system = system.with_gains(*stabilization.gains(dt))
-        self.integrator, self.dt = integrator, dt
+        self.integrator = integrator
+        self.dt = dt
         self.stabilization = stabilization
         self.stepper = stepper_of(integrator, system, dt)
         self.system: System = self.stepper.system or system
-        self.guards, self.switches = self.stepper.guards, self.stepper.switches
+        self.guards = self.stepper.guards
+        self.switches = self.stepper.switches
         self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
-        self.steps, self.worst = 0, (1.0, 0.0)
+        self.steps = 0
+        self.worst = (1.0, 0.0)
         has_stops = any(block.part.stops for block in system.layout.smoothed)
         self.overshoots = Overshoots(system) if has_stops else None
         several = phased(system)
@@ -205,7 +208,8 @@ class Overshoots:
         self._ends = self._signs * ends
         self._speed, self._when = np.zeros((2, len(ends)))
         self._first = self._worst = np.zeros(len(ends))
-        self._limit, self._seen = self._ends + self._worst, None
+        self._limit = self._ends + self._worst
+        self._seen = None
 
     def begin(self, y: Any) -> None:
         """Forget all; ends that the first state is beyond do not count."""

@@ -64,8 +64,11 @@ class LiveSimulation:
         heard: Sequence[tuple[slice, CommandWatch]] = (),
     ) -> None:
         self._heard = tuple(heard)
-        self._build, self._initial, self._period = build, initial, period
-        self.watch, self._safe = watch, safe
+        self._build = build
+        self._initial = initial
+        self._period = period
+        self.watch = watch
+        self._safe = safe
         self.reset()
 
     def reset(self) -> None:

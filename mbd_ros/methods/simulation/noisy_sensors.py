@@ -26,7 +26,8 @@ class NoisySensors:
     """
 
     def __init__(self, sensors: Sequence[Sensor], seed: int) -> None:
-        self.sensors, self._seed = tuple(sensors), seed
+        self.sensors = tuple(sensors)
+        self._seed = seed
         self._reads = max((sensor.reads for sensor in sensors), default=Reads.NOTHING)
         self.needs_reactions = any(one.level >= Measures.FORCE for one in sensors)
         self._roots: dict[int, Array] = {}

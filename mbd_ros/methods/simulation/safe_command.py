@@ -44,7 +44,8 @@ class CommandWatch:
     """
 
     def __init__(self, timeout: float, ramp: float) -> None:
-        self.timeout, self.ramp = timeout, ramp
+        self.timeout = timeout
+        self.ramp = ramp
         self.received = self.superseded = 0
         self.restart()
 

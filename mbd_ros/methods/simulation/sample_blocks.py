@@ -45,14 +45,18 @@ class SampleBlocks:
         at: Progress,
         alone: Alone,
     ) -> None:
-        self.stepper, self._times, self._alone, self._origin = stepper, times, alone, at.origin
+        self.stepper = stepper
+        self._times = times
+        self._alone = alone
+        self._origin = at.origin
         nq, nv = int(system.model.nq), int(system.model.nv)
         self._ends = 1 + nq, 1 + nq + nv  # of q and v in a row
         self._inputs = HeldInputs(system.loads.sources, times, at.held_since)
         self._idle = system.loads.idle
         stepper.begin_samples(at.y, at.sample, is_within=at.is_within)
         self._before: tuple[Memory, HeldTable] | None = None
-        self._seen, self._at = 0, at
+        self._seen = 0
+        self._at = at
         self._end: tuple[HeldTable, int | None] | None = None
 
     def rows(
@@ -185,7 +189,9 @@ class RunTable:
     def __init__(
         self, x: State, duration: float, first: State, begin: Callable[[], SampleBlocks]
     ) -> None:
-        self._x, self._duration, self._begin = x, duration, begin
+        self._x = x
+        self._duration = duration
+        self._begin = begin
         self._first = np.concatenate(([first.t], *first[1:4]))
         self.blocks = begin()
         self._take = self.blocks.whole(self._first)

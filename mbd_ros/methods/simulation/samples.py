@@ -69,7 +69,8 @@ class HeldInputs:
     """
 
     def __init__(self, sources: Sources, times: SampleTimes, now: float) -> None:
-        self._sources, self._times = sources, times
+        self._sources = sources
+        self._times = times
         self._jumps = sources.jumps(now, times.last)
         self._next = next(self._jumps, math.inf)
         self.u: Array | None = None

@@ -34,8 +34,11 @@ class StallWatch:
     """
 
     def __init__(self, system: System, dt: float, notice: Notice | None = None) -> None:
-        self._system, self._dt, self._notice = system, dt, notice
-        self._hopeless, self._t = 0, 0.0
+        self._system = system
+        self._dt = dt
+        self._notice = notice
+        self._hopeless = 0
+        self._t = 0.0
 
     def begin(self, t: float) -> None:
         """Start to look at a time [s]."""
