@@ -40,14 +40,17 @@ class DiracBracket:
     """
 
     def __init__(self, q: Any, v: Any, g: Any, kinetic: Any) -> None:
-        self.n, self.m = q.shape[0], g.shape[0]
-        self._q, self._p = q, ca.SX.sym("p", self.n)
+        self.n = q.shape[0]
+        self.m = g.shape[0]
+        self._q = q
+        self._p = ca.SX.sym("p", self.n)
         M = ca.densify(ca.hessian(kinetic, v)[0])
         self._momentum = ca.Function("momentum", [q, v], [M @ v])
         self._drift = ca.Function("drift", [q, v], [ca.jtimes(M @ v, q, v)])
         inverse = _inverse(M)
         J = ca.densify(ca.jacobian(g, q))
-        self._g, self._psi = g, J @ (inverse @ self._p)
+        self._g = g
+        self._psi = J @ (inverse @ self._p)
         self._table = self._brackets(inverse, J) if self.m else _canonical(self.n)
         x = ca.vertcat(q, self._p)
         self._values = ca.Function("table", [q, self._p], [self._table])

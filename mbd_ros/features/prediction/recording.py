@@ -253,7 +253,9 @@ class References:
     def __init__(
         self, scene: Scene, recording: Recording | None, motion: Path | None, begin: float
     ) -> None:
-        self._scene, self._recording, self._motion = scene, recording, motion
+        self._scene = scene
+        self._recording = recording
+        self._motion = motion
         self._begin = begin
         self._captures = dict[Path, Capture]()
 

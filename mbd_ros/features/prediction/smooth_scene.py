@@ -128,7 +128,8 @@ class _Fitter:
     """
 
     def __init__(self, scene: Scene, limits: Mapping[str, Range]) -> None:
-        self._scene, self._search = scene, QuickestSearch()
+        self._scene = scene
+        self._search = QuickestSearch()
         robot, couplings = scene.robot, scene.couplings
         joints = {joint.q: joint for joint in robot.joints}
         self._start = scene.initial.q[couplings.q_index]

@@ -220,7 +220,9 @@ class _Watcher:
     """
 
     def __init__(self, round_: int, interruption: Interruption, *, has_pieces: bool) -> None:
-        self._round, self._interruption, self._due = round_, interruption, 0.0
+        self._round = round_
+        self._interruption = interruption
+        self._due = 0.0
         self._recent = deque[tuple[float, float]](maxlen=_STAYING) if has_pieces else None
         self.is_staying = False
 

@@ -67,7 +67,9 @@ class Asked:
     """
 
     def __init__(self, scene: Any, task: SampleTask, where: str) -> None:
-        self.scene, self.task, self.where = scene, task, where
+        self.scene = scene
+        self.task = task
+        self.where = where
         self.sampled: SampledScene = sampled_scene(scene)
         kT = task.thermal_energy
         if kT is None:

@@ -58,8 +58,12 @@ class _Flat:
 
     def __init__(self, ensemble: Ensemble) -> None:
         space = ensemble.space
-        self.names, self.size, self.mass = space.names, space.size, space.mass
-        self.blocks, self.scale, self._space = space.blocks, space.scale, space
+        self.names = space.names
+        self.size = space.size
+        self.mass = space.mass
+        self.blocks = space.blocks
+        self.scale = space.scale
+        self._space = space
         self.has_constant_masses = True
 
     def potential(self, q: Array) -> Array:

@@ -28,7 +28,9 @@ class Ensemble:
     """
 
     def __init__(self, space: Space, kT: float, *, fixman: bool = False) -> None:
-        self.space, self.kT, self.fixman = space, kT, fixman
+        self.space = space
+        self.kT = kT
+        self.fixman = fixman
         self.manifold = Manifold(space)
         self._mass = space.mass[:, None]
         self._spread = np.sqrt(kT / self._mass)
@@ -124,7 +126,8 @@ class Metropolis:
     """
 
     def __init__(self, ensemble: Ensemble, dt: float) -> None:
-        self._ensemble, self.dt = ensemble, dt
+        self._ensemble = ensemble
+        self.dt = dt
 
     def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
         """One proposal for every chain.
@@ -198,7 +201,8 @@ class Langevin:
     """
 
     def __init__(self, ensemble: Ensemble, dt: float, friction: float) -> None:
-        self._ensemble, self.dt = ensemble, dt
+        self._ensemble = ensemble
+        self.dt = dt
         self._kept = exp(-friction * dt)
         self._new = sqrt(1.0 - self._kept**2)
 

@@ -40,8 +40,11 @@ class JointSpace:
     def __init__(
         self, system: System, start: State, names: Sequence[str], walls: Sequence[Wall] = ()
     ) -> None:
-        self.system, self.names, self.size = system, tuple(names), system.nv
-        self._walls, self.scale = tuple(walls), _SCALE
+        self.system = system
+        self.names = tuple(names)
+        self.size = system.nv
+        self._walls = tuple(walls)
+        self.scale = _SCALE
         self._still = np.zeros(system.nv)
         self.mass: Array = system.mass(start.q).diagonal().copy()
         kept = independent(system.jacobian(0.0, start.q)) if system.rows else []
@@ -123,7 +126,8 @@ class JointRows:
     copies = 1
 
     def __init__(self, system: System, kept: Sequence[int]) -> None:
-        self._system, self._kept = system, list(kept)
+        self._system = system
+        self._kept = list(kept)
         self.rows = tuple(system.rows[i].name for i in kept)
 
     def residual(self, x: Array) -> Array:

@@ -69,7 +69,8 @@ class BlockRows:
     """
 
     def __init__(self, block: Block, mass: Array, scale: float) -> None:
-        self.block, self._scale = block, scale
+        self.block = block
+        self._scale = scale
         mine = mass[:, None] if block.coordinates is None else mass[block.coordinates]
         self._lightness = 1.0 / mine[:, :, None]  # (size, copies, 1)
 

@@ -32,7 +32,8 @@ class ParticleSpace:
     has_constant_masses = True
 
     def __init__(self, kinds: Sequence[Molecules], pair_forces: PairForces | None = None) -> None:
-        self.kinds, self.pair_forces = tuple(kinds), pair_forces
+        self.kinds = tuple(kinds)
+        self.pair_forces = pair_forces
         labels = [label for kind in kinds for label in kind.labels]
         self.names = tuple(f"{label}.{axis}" for label in labels for axis in "xyz")
         self.size = len(self.names)
@@ -132,7 +133,8 @@ class MoleculeRows:
     coordinates: Array | None
 
     def __init__(self, kind: Molecules, first: int, *, is_alone: bool) -> None:
-        self._atoms, self.copies = len(kind.atoms), kind.count
+        self._atoms = len(kind.atoms)
+        self.copies = kind.count
         size = 3 * self._atoms
         self.coordinates = first + np.arange(size * self.copies).reshape(-1, size).T
         if is_alone and self.copies == 1:

@@ -88,8 +88,12 @@ class HeldSpace:
     has_constant_masses = True
 
     def __init__(self, space: Space, held: Observable, level: float) -> None:
-        self.names, self.size, self.mass = space.names, space.size, space.mass
-        self.scale, self.potential, self.force = space.scale, space.potential, space.force
+        self.names = space.names
+        self.size = space.size
+        self.mass = space.mass
+        self.scale = space.scale
+        self.potential = space.potential
+        self.force = space.force
         self.volume = space.volume
         self.blocks = (HeldRows(space, held, level),)
 
@@ -110,7 +114,9 @@ class HeldRows:
     copies = 1
 
     def __init__(self, space: Space, held: Observable, level: float) -> None:
-        self._blocks, self._held, self.level = space.blocks, held, level
+        self._blocks = space.blocks
+        self._held = held
+        self.level = level
         names = [row for block in space.blocks for _ in range(block.copies) for row in block.rows]
         self.rows: Sequence[str] = (*names, held.name)
 
@@ -157,9 +163,14 @@ class WeightedSpace:
     has_constant_masses = True
 
     def __init__(self, space: Space, kT: float, *, fixman: bool) -> None:
-        self._space, self._kT, self._fixman = space, kT, fixman
-        self.names, self.size, self.mass = space.names, space.size, space.mass
-        self.scale, self.blocks = space.scale, space.blocks
+        self._space = space
+        self._kT = kT
+        self._fixman = fixman
+        self.names = space.names
+        self.size = space.size
+        self.mass = space.mass
+        self.scale = space.scale
+        self.blocks = space.blocks
         self.force = space.force
 
     def potential(self, q: Array) -> Array:

@@ -44,7 +44,8 @@ class ControllerNode(Shell):
     _pipeline: ControlPipeline
 
     def __init__(self, argv: Sequence[str] = ()) -> None:
-        self._lapsed, self._is_heard = perf_counter(), True
+        self._lapsed = perf_counter()
+        self._is_heard = True
         self._notes: set[str] = set()
         self._action: TrajectoryAction | None = None
         super().__init__(argv)

@@ -85,7 +85,8 @@ class ControlPipeline:
         self._acted = [self.observer.names.index(name) for name in names]
         self.reader = JointStateCdrReader(self.joints, joint_state)
         self._references = References(self.loop.generator, names, scene.couplings)
-        self._commands, self._state = Float64MultiArray(), JointStateCdrWriter(names)
+        self._commands = Float64MultiArray()
+        self._state = JointStateCdrWriter(names)
         self._answer = Float64MultiArray(layout=MultiArrayLayout(dim=[MultiArrayDimension()]))
         self.x: State | None = None
         self._epoch: int | None = None
@@ -107,7 +108,8 @@ class ControlPipeline:
 
     def _tune(self, values: Any) -> None:
         generator, loop = self.loop.generator, self.loop
-        self._tuning, self._gains = tuning(values), gains(values)
+        self._tuning = tuning(values)
+        self._gains = gains(values)
         generator.ramp, generator.ramp_speed = values.reference_ramp, values.reference_ramp_speed
         generator.timeout = values.reference_timeout
         loop.ramp, loop.longest = values.safe_ramp, values.timeout
@@ -128,7 +130,8 @@ class ControlPipeline:
         """Continue without a bump where another pipeline with the same joints was at work."""
         fits = self._controlled.names == other._controlled.names
         if fits and other.x is not None and len(other.x.q) == len(self.scene.initial.q):
-            self.x, self._epoch = other.x, other._epoch
+            self.x = other.x
+            self._epoch = other._epoch
             self.loop.take_over(other.loop)
 
     def answer(self, stamp: int, sample: JointSample) -> ControlMessages | SampleStatus:

@@ -47,8 +47,11 @@ class TrajectoryAction:
         refused: Callable[[str], None],
         noted: Callable[[str], None],
     ) -> None:
-        self._node, self._action, self._pipeline = node, action, pipeline
-        self._refused, self._noted = refused, noted
+        self._node = node
+        self._action = action
+        self._pipeline = pipeline
+        self._refused = refused
+        self._noted = noted
         self._running: _Running | None = None
         self._accepted: tuple[Plan, Tolerances] | None = None
         self._feedback = FeedbackWriter(action.Feedback(), pipeline().names)
@@ -140,7 +143,8 @@ class TrajectoryAction:
         goal = TrajectoryGoal(
             pipeline.names, within, plan.begin, generator.trajectory.end, generator.end
         )
-        self._running, self._next_feedback = _Running(handle, goal, generator.trajectory), 0.0
+        self._running = _Running(handle, goal, generator.trajectory)
+        self._next_feedback = 0.0
         self._noted(plan.note)
         handle.execute()
 

@@ -70,7 +70,8 @@ class Pipeline:
         self._torques = JointStateCdrWriter(couplings.independent)
         rows = self._solver.rows
         self._forces = JointStateCdrWriter(rows, ("position", "effort"))
-        self._has_rows, self._has_loops = bool(rows), len(rows) > len(couplings.dependent)
+        self._has_rows = bool(rows)
+        self._has_loops = len(rows) > len(couplings.dependent)
         ages = round(values.wrench_max_age / NANOSECOND), round(values.rewind / NANOSECOND)
         self.queue = WrenchQueue(self.scene.wrenches, *ages)
         self._violation = np.zeros(len(couplings.dependent))
@@ -409,7 +410,8 @@ class WrenchQueue:
 
     def __init__(self, names: Mapping[str, object], max_age: int, rewind: int) -> None:
         self.buffers = {name: WrenchBuffer(max_age, rewind) for name in names}
-        self._rewind, self._newest = rewind, 0
+        self._rewind = rewind
+        self._newest = 0
         self._waiting: deque[tuple[float, Observation]] = deque()
 
     def clear(self) -> None:

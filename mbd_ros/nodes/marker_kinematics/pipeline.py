@@ -66,7 +66,8 @@ class MarkerPipeline:
         self._q: Array | None = None
         self._poor = 0
         self._newest: Fit | None = None
-        self._apart, self._rms = np.zeros(len(self.solver.labels)), 0.0
+        self._apart = np.zeros(len(self.solver.labels))
+        self._rms = 0.0
 
     def answer(self, stamp: int, places: Array) -> MarkerMessages | SampleStatus:
         """Messages for the places of markers, or why they cannot be used.
@@ -83,7 +84,8 @@ class MarkerPipeline:
         status = self._rates.update(stamp, position, self._unmeasured)
         if status in _UNUSED:
             return status
-        self._q, self._newest = fit.q, fit
+        self._q = fit.q
+        self._newest = fit
         numbers = self._rms, float(self._apart.max(initial=0.0)), float(fit.objective[0])
         states = self._states.write(stamp, position=position, velocity=self._rates.velocity)
         return MarkerMessages(states, self._residuals.write(numbers))

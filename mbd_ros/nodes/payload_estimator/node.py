@@ -44,7 +44,8 @@ class PayloadEstimatorNode(Shell):
         """Build the scene and its topics."""
         self._payload = self.publish_to(InertiaStamped, "~/payload", DEPTH)
         self._covariance = self.publish_to(Float64MultiArray, "~/covariance", DEPTH)
-        self._message, self._writer = InertiaStamped(), MultiArrayCdrWriter(COUNT**2, LABELS)
+        self._message = InertiaStamped()
+        self._writer = MultiArrayCdrWriter(COUNT**2, LABELS)
         self._description.build()
         self._stream.listen(self.answer)
 

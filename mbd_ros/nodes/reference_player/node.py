@@ -66,7 +66,8 @@ class ReferencePlayer(Shell):
 
     def activate_core(self) -> None:
         """Begin with the trajectory."""
-        self._is_answered, self._sent = False, 0
+        self._is_answered = False
+        self._sent = 0
         self._next: int | None = None
 
     def reset(self, reason: str) -> None:

@@ -60,8 +60,10 @@ class SimulatedClock:
     """
 
     def __init__(self, node: Node, steady: RosClock) -> None:
-        self._node, self._steady = node, steady
-        self._watch, self._hears = ClockWatch(), False
+        self._node = node
+        self._steady = steady
+        self._watch = ClockWatch()
+        self._hears = False
 
     @property
     def is_used(self) -> bool:
@@ -137,5 +139,8 @@ class ClockWatch:
         return self._quiet if self._has_died else 0.0
 
     def _forget(self) -> None:
-        self._news, self._longest, self._quiet = 0, 0.0, 0.0
-        self._has_died, self._looked = False, perf_counter()
+        self._news = 0
+        self._longest = 0.0
+        self._quiet = 0.0
+        self._has_died = False
+        self._looked = perf_counter()

@@ -29,7 +29,9 @@ class ContactTopics:
     """
 
     def __init__(self, node: Shell, live: LiveSimulation, robot: Robot, qos: QoSProfile) -> None:
-        self._live, self._robot, self._topics = live, robot, []
+        self._live = live
+        self._robot = robot
+        self._topics = []
         arrows = live.showing.arrows
         for name in contacts_of(live.showing):
             mine = [i for i, one in enumerate(arrows) if one.name.rpartition(".")[0] == name]

@@ -67,12 +67,20 @@ class JointStateStream:
         stamped: str = "joint states",
         plural: str = "joint states",
     ) -> None:
-        self._node, self._description = node, description
-        self._pipeline, self._forget = pipeline, forget
-        self._sample, self._topic, self._stamped = sample, topic, stamped
-        self._plural, self.failures = plural, 0
-        self._newest, self._answered, self._is_stampless = 0, 0, False
-        self._dropped, self.loss = 0, ""
+        self._node = node
+        self._description = description
+        self._pipeline = pipeline
+        self._forget = forget
+        self._sample = sample
+        self._topic = topic
+        self._stamped = stamped
+        self._plural = plural
+        self.failures = 0
+        self._newest = 0
+        self._answered = 0
+        self._is_stampless = False
+        self._dropped = 0
+        self.loss = ""
         self._mark()
         self._moved = self._heard
         self._agreed = _NEVER
@@ -107,7 +115,9 @@ class JointStateStream:
     def restart(self) -> None:
         """Empty filters and forget all answers: at activation, ~/reset and jumps of time."""
         self._simulated.hear()
-        self._newest, self._answered, self.failures = 0, 0, 0
+        self._newest = 0
+        self._answered = 0
+        self.failures = 0
         self._agreed = _NEVER
         self._two_clocks = self._last_drop = ""
         self._mark()
@@ -149,7 +159,8 @@ class JointStateStream:
     def note_answer(self, stamp: int) -> None:
         """Remember that a sample of this stamp [ns] was answered."""
         is_new = stamp != self._newest
-        self._newest, self._last_drop = stamp, ""
+        self._newest = stamp
+        self._last_drop = ""
         self._answered += 1
         self._mark()
         if is_new:
@@ -227,7 +238,8 @@ class JointStateStream:
         now = self._now()
         ahead = (stamp - now) * NANOSECOND
         if now == 0 or abs(ahead) <= tolerance:
-            self._two_clocks, self._agreed = "", stamp
+            self._two_clocks = ""
+            self._agreed = stamp
             return True
         self._two_clocks = (
             f"{self._sample} of {stamp * NANOSECOND:.3f} s, node clock {now * NANOSECOND:.3f} s: "
@@ -249,7 +261,8 @@ class JointStateStream:
 
     def _mark(self) -> None:
         """Silence begins now."""
-        self._heard, self._heard_ros = perf_counter(), self._now()
+        self._heard = perf_counter()
+        self._heard_ros = self._now()
 
     def _age(self) -> float:
         """Of the newest answered stamp [s]."""

@@ -165,7 +165,8 @@ class Declared:
             is_configured: Whether `read_only` holds now.
         """
         self._specs = {parameter.name: parameter for parameter in parameters}
-        self._retune, self._is_configured = retune, is_configured
+        self._retune = retune
+        self._is_configured = is_configured
         self.problems: dict[str, str] = {}
         given = node._parameter_overrides  # rclpy shows them in no public way
         values = {spec.key: self._declare(node, spec, given) for spec in parameters}

@@ -40,7 +40,9 @@ class RobotDescription:
         build: Callable[[str | None], None],
         replace: Callable[[str], None] | None = None,
     ) -> None:
-        self._node, self._build, self._replace = node, build, replace or build
+        self._node = node
+        self._build = build
+        self._replace = replace or build
         self.is_built = False
         self.urdf: str | None = None
         self._topic: str | None = None
@@ -73,7 +75,9 @@ class RobotDescription:
             return
         if self._subscription is not None:
             self._node.unsubscribe(self._subscription)
-        self._topic, self.urdf, self._subscription = topic, None, None
+        self._topic = topic
+        self.urdf = None
+        self._subscription = None
         if topic is not None:
             self._subscription = self._node.subscribe(
                 String, topic, self._take, LATCHED, always=True

@@ -276,7 +276,8 @@ class Standing:
 
     def __init__(self) -> None:
         self.repeats = self.doubled = 0
-        self._listeners, self._until = 0, 0.0
+        self._listeners = 0
+        self._until = 0.0
         self._slowest = 0.0
         self._stamps: set[int] = set()
         self._answered: set[int] = set()

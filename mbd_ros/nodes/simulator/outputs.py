@@ -55,7 +55,8 @@ class SimulatorOutputs:
 
             from mbd_ros.nodes.simulator.drawing import Drawing
 
-            self._markers, self._marked = node.publish_to(MarkerArray, "~/markers", 10), 0.0
+            self._markers = node.publish_to(MarkerArray, "~/markers", 10)
+            self._marked = 0.0
             self._drawing = Drawing(plant.scene.robot)
         self._phase = None
         if plant.live.phase:
@@ -124,7 +125,8 @@ class PhaseTopic:
     """
 
     def __init__(self, node: Shell, live: LiveSimulation) -> None:
-        self._publisher, self._live = node.publish_to(String, "~/phase", LATCHED), live
+        self._publisher = node.publish_to(String, "~/phase", LATCHED)
+        self._live = live
         self._shown = ""
 
     def publish(self) -> None:
@@ -149,7 +151,8 @@ class ClockTopic:
     """
 
     def __init__(self, node: Shell) -> None:
-        self._publisher, self._message = node.publish_to(Clock, "/clock", 10), Clock()
+        self._publisher = node.publish_to(Clock, "/clock", 10)
+        self._message = Clock()
         self._shown = perf_counter()
         node.every(BEAT, self._beat)
 

@@ -31,7 +31,8 @@ class Pace:
 
     def __init__(self, period: float, factor: float) -> None:
         self._period = period
-        self.overruns, self.given_up = 0, 0.0
+        self.overruns = 0
+        self.given_up = 0.0
         self._is_interrupted = False
         self.restart(factor)
 
@@ -49,7 +50,8 @@ class Pace:
 
     def open_window(self) -> None:
         """Begin a new period of `reached` and `lateness`."""
-        self._since, self._given_up_before = perf_counter(), self.given_up
+        self._since = perf_counter()
+        self._given_up_before = self.given_up
         self._lateness: list[float] = []
 
     def wait(self, executor: Executor) -> bool:

@@ -47,10 +47,12 @@ class SensorTopics:
         seed: int,
         depth: QoSProfile,
     ) -> None:
-        self._live, self._sensing = live, NoisySensors(sensors, seed)
+        self._live = live
+        self._sensing = NoisySensors(sensors, seed)
         self._waiting = deque[tuple[float, Callable[[], None]]]()
         self._at = {sensor.name: i for i, sensor in enumerate(sensors)}
-        self._sample, self._newest = 0, math.inf
+        self._sample = 0
+        self._newest = math.inf
         encoders, rates, efforts = (
             {s.joint.name: s for s in sensors if isinstance(s, kind)}
             for kind in (Encoder, Tachometer, Effort)

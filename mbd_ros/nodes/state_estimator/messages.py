@@ -24,10 +24,12 @@ class EstimateWriter:
     """
 
     def __init__(self, estimation: Estimation, *, with_covariance: bool = False) -> None:
-        self._estimation, self._system = estimation, estimation.process.simulation.system
+        self._estimation = estimation
+        self._system = estimation.process.simulation.system
         joints = estimation.scene.robot.joints
         names = [joint.name for joint in joints]
-        self._q, self._v = [joint.q for joint in joints], [joint.v for joint in joints]
+        self._q = [joint.q for joint in joints]
+        self._v = [joint.v for joint in joints]
         self._states = JointStateCdrWriter(names)
         self._disturbance = JointStateCdrWriter(estimation.disturbed, ("effort",))
         rows = [without_multiplier(row.name) for row in self._system.multiplier_rows]
@@ -69,7 +71,9 @@ class EstimateWriter:
         """
         system = self._system
         x = system.expand(belief.x)
-        self._x, self._u, self._now = x, u, None
+        self._x = x
+        self._u = u
+        self._now = None
         system.k.refresh(x.q, x.v, system.loads.reads)
         effort = system.loads.actuator_torque(system.k, x, u)
         states = self._states.write(

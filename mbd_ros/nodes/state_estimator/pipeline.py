@@ -85,7 +85,10 @@ class EstimatorPipeline:
     def forget(self) -> None:
         """Forget the past: the next joint state is the first one."""
         self.tracker: Tracker | None = None
-        self.newest, self._origin, self._debt, self._late = 0, 0, 0.0, 0
+        self.newest = 0
+        self._origin = 0
+        self._debt = 0.0
+        self._late = 0
         self._command = self._inputs.copy()
         for buffer in self.wrenches.values():
             buffer.clear()

@@ -45,8 +45,11 @@ class Leading:
         values: Any,
         tell: Callable[[str], None],
     ) -> None:
-        self._node, self._within, self._tell = node, within, tell
-        self._robot, self._values = scene.robot, values
+        self._node = node
+        self._within = within
+        self._tell = tell
+        self._robot = scene.robot
+        self._values = values
         simulator, points = values.simulator, scene.robot.places.points
         self._push = node.publish_to(WrenchStamped, within(f"{simulator}/push"), _DEPTH)
         self._loads: dict[int, tuple[Publisher, Point, str]] = {}
@@ -59,7 +62,9 @@ class Leading:
         self._at = [scene.robot.joint(name).q for name in self._joints]
         self._writer = JointStateCdrWriter(self._joints, ("position",))
         self._reference: Publisher | None = None
-        self._posture, self._left, self._due = np.zeros(0), 0, 0.0
+        self._posture = np.zeros(0)
+        self._left = 0
+        self._due = 0.0
         self._last: tuple[Publisher, str] | None = None
 
     def pull(self, pulled: Pulled, k: Kinematics) -> None:
@@ -95,7 +100,9 @@ class Leading:
             return
         if self._reference is None or self._reference.topic_name != topic:
             self._reference = self._node.publish_to(JointState, topic, _DEPTH)
-        self._posture, self._left, self._due = q[self._at], _TIMES, 0.0
+        self._posture = q[self._at]
+        self._left = _TIMES
+        self._due = 0.0
 
     def tend(self) -> None:
         """Send what is to be sent now.

@@ -87,7 +87,8 @@ class WebViewNode(Shell):
         label = Path(self._views[0].scene.name).name
         server = PageServer(values.host, values.port, label, values.token, values.origins)
         self.keep(server, PageServer.close)
-        self._page, self._departures = LivePage(server, self._views, label, self._offsets()), 0
+        self._page = LivePage(server, self._views, label, self._offsets())
+        self._departures = 0
         self._robots = [
             self._robot(space, view) for space, view in zip(self._spaces, self._views, strict=True)
         ]
@@ -233,7 +234,8 @@ class SimulatorClient:
     def __init__(
         self, ask_of: Callable[[type, str], Any], name: str, tell: Callable[[str], None]
     ) -> None:
-        self.name, self._tell = name, tell
+        self.name = name
+        self._tell = tell
         self._clients = {what: ask_of(Trigger, f"{name}/{what}") for what in _TRIGGERS}
         self._pause = ask_of(SetBool, f"{name}/pause")
         self._parameters = ask_of(SetParameters, f"{name}/set_parameters")

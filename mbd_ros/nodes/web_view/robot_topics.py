@@ -61,7 +61,9 @@ class RobotTopics:
         self, node: Shell, namespace: str, scene: Scene, frames: Frames, values: Any
     ) -> None:
         robot = scene.robot
-        self._robot, self._couplings, self.k = robot, scene.couplings, Kinematics(robot)
+        self._robot = robot
+        self._couplings = scene.couplings
+        self.k = Kinematics(robot)
 
         def newest(kind: type, topic: str) -> Newest:
             return Newest(node, kind, within(namespace, topic))
@@ -82,19 +84,26 @@ class RobotTopics:
         self._torques = _Joints(newest(JointState, values.torques), every, [])
         self._markers = newest(MarkerArray, values.markers)
         self._measured = MeasuredLoads(scene, frames.showing, values.simulator, newest)
-        self.loads, self.age, self.rate = self._measured.names, math.inf, 0.0
+        self.loads = self._measured.names
+        self.age = math.inf
+        self.rate = 0.0
         self._at_q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
         self._at_v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
         nv, self._internals = robot.model.nv, scene.internals.names
         self._outputs = (
             newest(Float64MultiArray, f"{values.simulator}/outputs") if self._internals else None
         )
-        self.q, self._v, self._a = scene.initial.q.copy(), np.zeros(nv), np.zeros(nv)
-        self._z, self._lam = np.full(len(self._internals), np.nan), np.full(len(rows), np.nan)
+        self.q = scene.initial.q.copy()
+        self._v = np.zeros(nv)
+        self._a = np.zeros(nv)
+        self._z = np.full(len(self._internals), np.nan)
+        self._lam = np.full(len(rows), np.nan)
         self._effort, self._torque = np.full((2, len(every)), np.nan)
         self._shapes = Shapes(np.zeros((0, 3)), np.zeros((0, 2, 3)))
         self._begin: int | None = None
-        self._stamp, self._looked, self._heard = 0, perf_counter(), -math.inf
+        self._stamp = 0
+        self._looked = perf_counter()
+        self._heard = -math.inf
 
     def sample(self) -> LiveSample | None:
         """What is known now; None if no message came since it was asked last."""
@@ -123,7 +132,8 @@ class RobotTopics:
         self._heard = now if most else self._heard
         for topic in topics:
             topic.count = 0
-        self._looked, self.age = now, now - self._heard
+        self._looked = now
+        self.age = now - self._heard
 
     def _bodies(self) -> Any:
         return zip(self._robot.bases, self._poses, strict=True)
@@ -189,7 +199,8 @@ class _Joints:
     """Joint states of one topic: where its joints stand among those of the robot."""
 
     def __init__(self, newest: Newest, names: list[str], at: list[int]) -> None:
-        self.newest, self.at = newest, np.array(at, dtype=np.intp)
+        self.newest = newest
+        self.at = np.array(at, dtype=np.intp)
         self._reader = JointStateCdrReader(JointStateReader(names), joint_state)
 
     def read(self) -> JointSample | None:
@@ -227,7 +238,8 @@ class MeasuredLoads:
         simulator: str,
         newest: Callable[[type, str], Newest],
     ) -> None:
-        self._robot, self._loads = scene.robot, dict[str, _Load]()
+        self._robot = scene.robot
+        self._loads = dict[str, _Load]()
         for name, wrench in scene.wrenches.items():
             topic = wrench.heard_on.replace("~/", f"{simulator}/", 1)
             self._loads[name] = _Load(newest(WrenchStamped, topic), wrench.about)
@@ -298,8 +310,11 @@ class Newest:
     """
 
     def __init__(self, node: Shell, kind: type, topic: str) -> None:
-        self._node, self._kind, self._topic = node, kind, topic
-        self.count, self._cdr = 0, b""
+        self._node = node
+        self._kind = kind
+        self._topic = topic
+        self.count = 0
+        self._cdr = b""
         node.subscribe(kind, topic, self._take, NEWEST, raw=True)
 
     def _take(self, cdr: bytes) -> None:

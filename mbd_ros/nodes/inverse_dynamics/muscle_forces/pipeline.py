@@ -168,20 +168,26 @@ class LiveSharing:
         loads: JointLoads | None,
         coordinates: Sequence[str],
     ) -> None:
-        self.optimization, self._joint_loads = optimization, loads
+        self.optimization = optimization
+        self._joint_loads = loads
         self._coordinates = tuple(coordinates)
         known = optimization.known
-        self.couplings, self.rows, self.needed = known.couplings, known.rows, known.needed
-        self.gap, self._none = known.gap, np.zeros(len(known.rows))
+        self.couplings = known.couplings
+        self.rows = known.rows
+        self.needed = known.needed
+        self.gap = known.gap
+        self._none = np.zeros(len(known.rows))
         self.configuration = optimization.robot.neutral()
-        self.time, self.measured = 0.0, np.full(len(optimization.muscles), np.nan)
+        self.time = 0.0
+        self.measured = np.full(len(optimization.muscles), np.nan)
         self.shares: Shares | None = None
         self.loads: Array | None = None
 
     def forget(self) -> None:
         """Forget earlier samples."""
         self.optimization.forget()
-        self.shares, self.loads = None, None
+        self.shares = None
+        self.loads = None
 
     def solve(
         self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
@@ -201,7 +207,8 @@ class LiveSharing:
         if not shares.is_feasible[0]:
             raise SolveError(self._lacking(shares))
         q, v, a = (values[:, 0] for values in self.optimization.motion)
-        self.shares, self.configuration = shares, q
+        self.shares = shares
+        self.configuration = q
         if self._joint_loads is not None:
             x, force, reserve = State(self.time, q, v), shares.force[0], shares.reserve[0]
             self.loads, _ = self._joint_loads.solve(x, a, force, reserve, wrenches)
@@ -248,7 +255,8 @@ class MeasuredActivations:
 
     def __init__(self, names: Sequence[str], max_age: float, clock: Callable[[], float]) -> None:
         self._at = {name: i for i, name in enumerate(names)}
-        self._max_age, self._clock = max_age, clock
+        self._max_age = max_age
+        self._clock = clock
         self.clear()
 
     def clear(self) -> None:

@@ -81,7 +81,8 @@ class TwinPipeline(EstimatorPipeline):
         """Forget the past, that of the watches too."""
         super().forget()
         self.determination = Determination(0.0, 1.0, math.inf)
-        self.fault, self._began = Named("", {}, 0.0), 0.0
+        self.fault = Named("", {}, 0.0)
+        self._began = 0.0
         if self._cusum is not None:
             self._cusum.forget()
             if self._naming is not None:
