@@ -36,8 +36,10 @@ if TYPE_CHECKING:
 
 
 class Scene(built_scene.Scene):
-    """A built scene, which makes systems, solvers and simulations, and runs jobs."""
+    """A built scene with everything that is done with one, the jobs too, as methods."""
 
+    simulation = build_simulation
+    with_inertias = with_inertias
     simulate = simulate
     inverse = inverse
     identify = identify
@@ -59,9 +61,6 @@ class Scene(built_scene.Scene):
     def of(cls, scene: built_scene.Scene) -> "Scene":
         """The same scene with the jobs as methods."""
         return cls(*(getattr(scene, field.name) for field in fields(scene) if field.init))
-
-    simulation = build_simulation
-    with_inertias = with_inertias
 
     def phased_system(self, *arguments: Any, **options: Any) -> "PhasedSystem":
         """The systems of all phases, behind one; arguments and errors as for `system`."""

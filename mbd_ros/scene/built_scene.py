@@ -1,4 +1,8 @@
-"""A built scene: its entries, its parts, its robot, and the equations of motion they make."""
+"""A built scene: its entries, its parts, its robot, and the equations of motion they make.
+
+A scene is a value. Whatever reads, changes, describes or runs one takes it as an argument and
+stands above it: `reader`, `variants`, `describe`, `runs`; `api.Scene` has these as methods.
+"""
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
@@ -194,16 +198,6 @@ class Scene:
         keys = (section.key for section in self.sections if section.key != "gravity")
         return tuple(key for key in keys if not self.entries.get(key))
 
-    def _offering(self, method: str) -> tuple[Any, ...]:
-        """Parts of all sections whose parts have a method, in the order of the table."""
-        return tuple(
-            part
-            for section in self.sections
-            if method in " or ".join(section.offers).split(" or ") and section.key in self.parts
-            for part in parts_in(section, self.parts[section.key])
-            if hasattr(part, method)
-        )
-
     @property
     def has_loops(self) -> bool:
         """Whether bilateral constraints act besides the couplings."""
@@ -221,6 +215,37 @@ class Scene:
             return tuple(dict.fromkeys(name for part in self.actuators for name in part.joints))
         driven = {name for part in self.constraints for name in part.driven}
         return tuple(name for name in self.couplings.independent if name not in driven)
+
+    @property
+    def closed_contacts(self) -> tuple[str, ...]:
+        """Names of its rigid contacts."""
+        return tuple(part.name for part in self.constraints if part.law.kind is Kind.CONE)
+
+    @property
+    def unmeasured_contacts(self) -> tuple[str, ...]:
+        """Rigid contacts of links that no external wrench acts on."""
+        links = {wrench.carrier.number for wrench in self.wrenches.values()}
+        return tuple(
+            part.name
+            for part in self.constraints
+            if part.law.kind is Kind.CONE
+            and not links & {self.robot.carrier(point.frame).number for point in part.pair.points}
+        )
+
+    @property
+    def carriers(self) -> tuple[str, ...]:
+        """Joints that stand for a free base, where forces of contacts are unknown."""
+        return carriers(self.robot, self.actuated if self.actuators else None)
+
+    def _offering(self, method: str) -> tuple[Any, ...]:
+        """Parts of all sections whose parts have a method, in the order of the table."""
+        return tuple(
+            part
+            for section in self.sections
+            if method in " or ".join(section.offers).split(" or ") and section.key in self.parts
+            for part in parts_in(section, self.parts[section.key])
+            if hasattr(part, method)
+        )
 
     def holding(self, **parts: Any) -> "Scene":
         """A copy that holds other built parts, from objects rather than entries.
@@ -259,7 +284,6 @@ class Scene:
         Raises:
             SceneError: The tier cannot serve the scene, or a package is missing.
         """
-        where = f"{self.name}: solver"
         chosen = self.chosen_solver(solver)
         try:
             loads = self.system_loads(forces, sources)
@@ -267,7 +291,7 @@ class Scene:
                 self.robot, self.couplings, self.constraints, loads, chosen.tier, chosen.backend
             )
         except ModelError as error:
-            raise SceneError(f"{where}: {error}") from error
+            raise SceneError(f"{self.name}: solver: {error}") from error
 
     def system_loads(self, forces: Sequence[Load], sources: Mapping[str, Source]) -> Loads:
         """Everything that acts on its joints; arguments as for `system`."""
@@ -293,15 +317,13 @@ class Scene:
 
         Without loops and bounds it is an `InverseDynamics`, which takes many samples at once.
 
-        Args:
-            with_bounds: As for `closed_loop`.
-            contacts: As for `closed_loop`.
-            near: As for `closed_loop`.
+        Arguments are those of `closed_loop`.
         """
         self._refuse_internal("inverse dynamics")
         if self.has_loops or with_bounds or contacts:
-            asked: dict[str, Any] = {"contacts": contacts, "near": near}
-            return ObservedLoops(self.closed_loop(with_bounds=with_bounds, **asked))
+            return ObservedLoops(
+                self.closed_loop(with_bounds=with_bounds, contacts=contacts, near=near)
+            )
         loads = tuple(self.wrenches.values())
         return InverseDynamics(self.robot, self.couplings, loads, self.acting)
 
@@ -326,13 +348,17 @@ class Scene:
         """
         self._refuse_internal("inverse dynamics")
         loads = tuple(self.wrenches.values())
-        parts = self.robot, self.couplings, self.constraints
         try:
             limits, free = self._effort_limits(), self.carriers if contacts else ()
             acting = {name: limits[name] for name in limits if name not in free}
             efforts = joint_efforts(self.robot, list(acting), list(acting.values()))
             return ClosedLoopInverseDynamics(
-                *(*parts, efforts, loads, self.acting),
+                self.robot,
+                self.couplings,
+                self.constraints,
+                efforts,
+                loads,
+                self.acting,
                 with_bounds=with_bounds,
                 contacts=contacts,
                 carriers=free,
@@ -340,27 +366,6 @@ class Scene:
             )
         except ModelError as error:
             raise SceneError(f"{self.name}: {error}") from error
-
-    @property
-    def closed_contacts(self) -> tuple[str, ...]:
-        """Names of its rigid contacts."""
-        return tuple(part.name for part in self.constraints if part.law.kind is Kind.CONE)
-
-    @property
-    def unmeasured_contacts(self) -> tuple[str, ...]:
-        """Rigid contacts of links that no external wrench acts on."""
-        links = {wrench.carrier.number for wrench in self.wrenches.values()}
-        return tuple(
-            part.name
-            for part in self.constraints
-            if part.law.kind is Kind.CONE
-            and not links & {self.robot.carrier(point.frame).number for point in part.pair.points}
-        )
-
-    @property
-    def carriers(self) -> tuple[str, ...]:
-        """Joints that stand for a free base, where forces of contacts are unknown."""
-        return carriers(self.robot, self.actuated if self.actuators else None)
 
     def controlled_joints(self) -> ControlledJoints:
         """The actuated joints as a controller sees them, with their own Pinocchio data.

@@ -25,7 +25,7 @@ from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, Torqu
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.shell.serialized import joint_state
 from mbd_ros.nodes.shell.stream_parameters import tuning
-from mbd_ros.scene.describe.check import tier
+from mbd_ros.scene.describe.scene_summary import inverse_tier
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
@@ -214,7 +214,7 @@ class Pipeline:
             "derivatives": f"causal, delay {filters.delay:.4f} s, "
             f"settled after {filters.settling_time:.4f} s",
             "largest coupling violation": f"{np.abs(self._violation).max(initial=0.0):.6g}",
-            "solver tier": tier(self.scene),
+            "solver tier": inverse_tier(self.scene),
             **({"off the loops": f"{self._solver.moved:.6g}"} if self._has_loops else {}),
             **({"contacts of unknown force": contacts} if contacts else {}),
             **({"on the ground": feet} if feet else {}),

@@ -24,6 +24,7 @@ from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.costs import forward_cost, inverse_cost, step_costs
+from mbd_ros.scene.describe.scene_summary import inverse_tier
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
 from mbd_ros.scene.describe.stiffness_windows import Line, step_lines
 from mbd_ros.scene.reading.coupling_entries import coupling_kinds
@@ -100,7 +101,7 @@ def _lines(scene: Scene, tell: Tell | None) -> Iterator[Line]:
         text = f"from columns of the forces of {unmeasured} alone, which has internal states"
         yield "inverse", text
     else:
-        yield "inverse", tier(scene)
+        yield "inverse", inverse_tier(scene)
     if scene.has_loops and not unmeasured:
         yield from _reach(scene, system.expand(start))
     yield "forward", f"refused: {fault}" if fault else _forward(scene, system)
@@ -272,15 +273,6 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
         if order <= SMOOTHED_ORDER:
             cost = f"{name} has order {order} all the same"
         yield "smoothed", f"{listed(smoothed)}; solved for in every evaluation, {cost}"
-
-
-def tier(scene: Scene) -> str:
-    """How inverse dynamics is solved."""
-    if scene.has_loops:
-        return "loops: efforts and multipliers by rank, of smallest norm where undetermined"
-    if not scene.couplings.dependent:
-        return "rnea: no dependent joint, one call"
-    return "reduced: dependent joints eliminated exactly, q = F(z)"
 
 
 def _reach(scene: Scene, x: State) -> Iterator[Line]:

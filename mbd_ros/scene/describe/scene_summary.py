@@ -1,4 +1,4 @@
-"""A scene in a few lines, for a prompt and for a notebook."""
+"""A scene in a few lines, for a prompt and for a notebook, and its words for messages."""
 
 import html
 from collections.abc import Iterable, Iterator, Mapping
@@ -68,6 +68,15 @@ def scene_html(scene: Scene) -> str:
         for label, text in _rows(scene)
     )
     return f"<table><caption>{html.escape(f'Scene {scene.name}')}</caption>{rows}</table>"
+
+
+def inverse_tier(scene: Scene) -> str:
+    """How inverse dynamics is solved."""
+    if scene.has_loops:
+        return "loops: efforts and multipliers by rank, of smallest norm where undetermined"
+    if not scene.couplings.dependent:
+        return "rnea: no dependent joint, one call"
+    return "reduced: dependent joints eliminated exactly, q = F(z)"
 
 
 def coordinate_names(robot: Robot, couplings: Couplings) -> list[str]:
