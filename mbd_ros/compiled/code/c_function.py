@@ -20,7 +20,7 @@ _PLAIN = {
 }
 WHOLE = 3000  # operations that are not cut: their compilation takes half a second at most
 FEWEST, MOST = 500, 1500  # operations of a chunk
-_FORMS = {
+_FORMS = {  # what operations of CasADi are in C, for numbers and for vectors of them
     ca.OP_ADD: "{0} + {1}",
     ca.OP_SUB: "{0} - {1}",
     ca.OP_MUL: "{0} * {1}",

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import casadi as ca
 
 from mbd_ros.compiled.symbols.rows import Rows
-from mbd_ros.compiled.symbols.sparse_ldl import Entries, SparseLdl, order_of
+from mbd_ros.compiled.symbols.sparse_ldl import Entries, SparseLdl, elimination_order
 from mbd_ros.compiled.symbols.tree.link_rotations import ZERO
 
 SOFT = 1.0e-9  # of the usual size of a row: what is added to it where rows may be dependent
@@ -28,7 +28,7 @@ NO_PUSHES: Pushes = {}
 
 
 class ConstrainedMotion:
-    """Masses beside rows, factorised.
+    """Factors of masses beside rows, and what they solve.
 
     Args:
         mass: The lower triangle of M, SX scalars.
@@ -58,10 +58,10 @@ class ConstrainedMotion:
         edges = [at for at, value in (entries | upper).items() if not value.is_zero()]
         self._groups = [
             ([j for j in one if j < nv], [i - nv for i in one if i >= nv])
-            for one in groups_of(edges, nv + self._m)
+            for one in connected_groups(edges, nv + self._m)
         ]
         waits = {i: {*row, *pushes.get(i - nv, ())} for i, row in enumerate(rows.J, nv)}
-        order = order_of(edges, nv + self._m, waits)
+        order = elimination_order(edges, nv + self._m, waits)
         self._factors = SparseLdl(entries, order, upper)
 
     @property
@@ -140,7 +140,7 @@ class ConstrainedMotion:
         )
 
 
-def groups_of(edges: Iterable[tuple[int, int]], size: int) -> list[list[int]]:
+def connected_groups(edges: Iterable[tuple[int, int]], size: int) -> list[list[int]]:
     """Numbers below a size that edges join."""
     group = list(range(size))
     for i, j in edges:

@@ -99,10 +99,12 @@ def _square(entries: Entries, upper: Entries, order: Sequence[int]) -> dict[int,
     return rows
 
 
-def order_of(
+def elimination_order(
     edges: Iterable[tuple[int, int]], size: int, after: Mapping[int, Iterable[int]] | None = None
 ) -> list[int]:
-    """Rows by least degree, ties by number, the highest first.
+    """The order in which a sparse matrix loses its rows, so that few entries fill in.
+
+    It is the order of least degree, ties by number, the highest first.
 
     Args:
         edges: Entries beside the diagonal that are not zero.
