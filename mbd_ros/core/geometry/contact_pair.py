@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.geometry.feature_gaps import Meeting, nearest_bases
+from mbd_ros.core.geometry.polyhedron import Polyhedron, box_of, line_of, prism_of
 from mbd_ros.core.geometry.shapes import (
     Balls,
     Between,
@@ -21,14 +22,10 @@ from mbd_ros.core.geometry.shapes import (
     HalfSpace,
     Mesh,
     Points,
-    Polyhedron,
     Shape,
     Side,
     Sphere,
     balls_of,
-    box_of,
-    line_of,
-    prism_of,
     suffix,
 )
 from mbd_ros.core.geometry.simple_bodies import BallsOnBalls, BallsOnPlane
@@ -247,20 +244,20 @@ class ContactPair:
         jacobian, drift = (np.concatenate(part) for part in zip(*each, strict=True))
         return jacobian, drift
 
-    def places(self, k: Kinematics) -> Places:
+    def places(self, k: Kinematics) -> ContactFrames:
         """Contact points and frames in the world."""
         each = [self._places(k, *one) for one in self._met]
         if self._only:
             return each[0]
         point, axes = (np.concatenate(part) for part in zip(*each, strict=True))
-        return Places(point, axes)
+        return ContactFrames(point, axes)
 
-    def _places(self, k: Kinematics, meeting: Meeting, is_back: bool) -> Places:
+    def _places(self, k: Kinematics, meeting: Meeting, is_back: bool) -> ContactFrames:
         _, lever, axes = meeting.touch(k.motion(meeting.pair).pose())
         fixed = k.rotation(meeting.pair.a)
         point = k.position(meeting.pair.b) + lever.dot(fixed.T)
         columns = np.einsum("ij,nkj->nik", fixed, axes[:, [1, 2, 0]])
-        return Places(point, columns * _TURN if is_back else columns)
+        return ContactFrames(point, columns * _TURN if is_back else columns)
 
 
 class Met(NamedTuple):
@@ -275,7 +272,7 @@ class Met(NamedTuple):
     is_back: bool
 
 
-class Places(NamedTuple):
+class ContactFrames(NamedTuple):
     """Where features touch.
 
     Attributes:

@@ -7,8 +7,6 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-Pair = tuple[float, float]
-
 
 class Slopes(NamedTuple):
     """Slopes of the forces of a feature, for steps that have to follow them.
@@ -55,7 +53,7 @@ class LinearNormal(NamedTuple):
         """Stiffness at which a force goes no deeper [N/m]."""
         return force / depth
 
-    def slopes(self, force: float, share: float) -> Pair:
+    def slopes(self, force: float, share: float) -> tuple[float, float]:
         """By depth and by approach, at rest under a force and with a multiple of k."""
         return share * self.stiffness, self.dissipation
 
@@ -97,7 +95,7 @@ class HuntCrossleyNormal(NamedTuple):
         least: float = force / depth**self.exponent
         return least
 
-    def slopes(self, force: float, share: float) -> Pair:
+    def slopes(self, force: float, share: float) -> tuple[float, float]:
         """By depth and by approach, at rest under a force and with a multiple of k."""
         if force <= 0.0:
             return 0.0, 0.0
@@ -119,7 +117,9 @@ class Creep(NamedTuple):
 
     velocity: float
 
-    def force(self, z: Sequence[float], slip: Sequence[float], limit: float) -> Pair:
+    def force(
+        self, z: Sequence[float], slip: Sequence[float], limit: float
+    ) -> tuple[float, float]:
         """Force [N] of a slip [m/s], at most `limit` [N]; bristles z it has none."""
         x, y = slip
         c = self.velocity
@@ -128,7 +128,7 @@ class Creep(NamedTuple):
         share = -limit / size if ratio >= 1.0 else -limit * (1.5 - 0.5 * ratio * ratio) / c
         return share * x, share * y
 
-    def slopes(self, limit: float) -> Pair:
+    def slopes(self, limit: float) -> tuple[float, float]:
         """Stiffness and damping without slip [N/m, N·s/m], of friction up to a limit [N]."""
         return 0.0, 1.5 * limit / self.velocity
 
@@ -156,28 +156,30 @@ class Bristle(NamedTuple):
     stiffness: float
     damping: float
 
-    def force(self, z: Sequence[float], slip: Sequence[float], limit: float) -> Pair:
+    def force(
+        self, z: Sequence[float], slip: Sequence[float], limit: float
+    ) -> tuple[float, float]:
         """Force [N] of a deflection [m] and a slip [m/s], at most `limit` [N]."""
         x, y, _ = self._held(z, slip, limit)
         return x, y
 
-    def rate(self, z: Sequence[float], slip: Sequence[float], limit: float) -> Pair:
+    def rate(self, z: Sequence[float], slip: Sequence[float], limit: float) -> tuple[float, float]:
         """Rate of the deflection [m/s]; arguments are those of `force`."""
         x, y, sticks = self._held(z, slip, limit)
         if sticks:
             return slip[0], slip[1]
         return self.released((z[0] + x / self.stiffness, z[1] + y / self.stiffness))
 
-    def released(self, z: Sequence[float]) -> Pair:
+    def released(self, z: Sequence[float]) -> tuple[float, float]:
         """Rate of the deflection where nothing holds the tip [m/s]."""
         pace = -self.stiffness / self.damping
         return pace * z[0], pace * z[1]
 
-    def energy(self, z: Pair) -> float:
+    def energy(self, z: tuple[float, float]) -> float:
         """Stored energy [J]."""
         return 0.5 * self.stiffness * (z[0] * z[0] + z[1] * z[1])
 
-    def slopes(self, limit: float) -> Pair:
+    def slopes(self, limit: float) -> tuple[float, float]:
         """Stiffness and damping while the tip sticks [N/m, N·s/m]."""
         return self.stiffness, self.damping
 
