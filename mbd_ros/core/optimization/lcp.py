@@ -3,7 +3,7 @@
     w = A f + gap,   f >= 0,   w >= 0,   f' w = 0
 
 A is positive semidefinite with ones on its diagonal, and singular where joints are coupled: then
-two of their bounds may be one and the same. `limit_forces` asks it of the limits of joints.
+two of their bounds may be one and the same. `move_qp.LimitForces` asks it of the limits of joints.
 Source: R. Cottle, J.-S. Pang, R. Stone, The Linear Complementarity Problem, 1992, ch. 3.
 """
 
