@@ -98,7 +98,7 @@ class ContactSolver(UnilateralSolver):
             return super().pushed(problem, closed, free)
         return free + self._with_contacts(problem, chosen, on, free, near)
 
-    def turned(self, problem: StepProblem, end: Array) -> Slots | None:
+    def early_slips(self, problem: StepProblem, end: Array) -> Slots | None:
         """Tangents of contacts whose friction would do work: slips that end within the step.
 
         Friction holds a contact at the end of a step. Where its slip ends early in the step, that
@@ -128,18 +128,18 @@ class ContactSolver(UnilateralSolver):
         chosen: Slots = problem.acting.at[tangents].reshape(-1, 2)[gains].ravel()
         return chosen if len(chosen) else None
 
-    def ending(self, turned: Slots, problem: StepProblem, end: Array) -> float:
+    def first_slip_end(self, slips: Slots, problem: StepProblem, end: Array) -> float:
         """When the first of some slips ends if it goes on as in a short step [s].
 
         Args:
-            turned: Tangents of contacts, among the rows of all.
+            slips: Tangents of contacts, among the rows of all.
             problem: That of the short step.
             end: Velocity at its end, shape (nv,).
 
         Returns:
             The time since the start of the short step; 0 if one has ended.
         """
-        tangents = np.flatnonzero(np.isin(problem.acting.at, turned))
+        tangents = np.flatnonzero(np.isin(problem.acting.at, slips))
         if not len(tangents):
             return 0.0
         before, after = _slips(problem, end, tangents)
@@ -151,10 +151,10 @@ class ContactSolver(UnilateralSolver):
         return problem.h * float(parts.min())
 
     def accept(self) -> None:
-        """Go on from the step that `turned` looked at: those after it were tried only."""
+        """Go on from the step that `early_slips` looked at: those after it were tried only."""
         self.last[:], self.forces, self.shared = self._accepted
 
-    def given_back(self, problem: StepProblem, end: Array) -> Array | None:
+    def way_correction(self, problem: StepProblem, end: Array) -> Array | None:
         """What is taken from the way of a step, shape (nv,); None where friction does no work.
 
         Where slips are too slow for the step to be divided, contacts go their way with the slips

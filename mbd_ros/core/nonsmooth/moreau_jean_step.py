@@ -99,13 +99,13 @@ class MoreauJeanStep:
             DivergedError: Forces are not finite.
         """
         self._rows.begin(y.q)
-        begun = self._begun(y, u, h)
-        parts = self._parts(begun[0])
+        posed = self._pose(y, u, h)
+        parts = self._parts(posed[0])
         if parts == 1:
-            return self._stepped(begun, y, u, t, _TURNS)
+            return self._advance(posed, y, u, t, _TURNS)
         part = h / parts
         for left in reversed(range(parts)):
-            y = self._stepped(self._begun(y, u, part), y, u, t - left * part, _TURNS)
+            y = self._advance(self._pose(y, u, part), y, u, t - left * part, _TURNS)
         return y
 
     def _parts(self, problem: StepProblem) -> int:
@@ -115,34 +115,41 @@ class MoreauJeanStep:
         turn = problem.h * max(self._rows.turning(v) for v in (problem.x.v, problem.free))
         return max(1, math.ceil(min(turn / _TURN, _PARTS)))
 
-    def _stepped(
-        self, begun: tuple[StepProblem, Which], y: State, u: Array | None, t: float, turns: int
+    def _advance(
+        self, posed: tuple[StepProblem, Which], y: State, u: Array | None, t: float, turns: int
     ) -> State:
         """The state after a part of a step, which slips that end may divide so many times more."""
-        problem, closed = begun
+        problem, closed = posed
         h = problem.h
         met: list[list[int]] = []
         while (hits := problem.hits(closed)).any() and len(met) < _IMPACTS + len(self._slots):
-            y, h = self._after_impact(problem, closed, hits, y, met)
-            problem, closed = self._begun(y, u, h)
-        problem, end = self._solved(problem, closed, y, u)
-        turned = self.row_solver.turned(problem, end) if turns else None
-        if turned is not None:
-            if part := self._until(turned, y, u, h):
-                y = self._ended(y, *self._solved(*self._begun(y, u, part), y, u), t - h + part)
-                return self._stepped(self._begun(y, u, h - part), y, u, t, turns - 1)
+            y, h = self._take_impact(problem, closed, hits, y, met)
+            problem, closed = self._pose(y, u, h)
+        problem, end = self._solve(problem, closed, y, u)
+        slips = self.row_solver.early_slips(problem, end) if turns else None
+        if slips is not None:
+            if part := self._first_slip_end(slips, y, u, h):
+                y = self._finish(y, *self._solve(*self._pose(y, u, part), y, u), t - h + part)
+                return self._advance(self._pose(y, u, h - part), y, u, t, turns - 1)
             self.row_solver.accept()
-        return self._outside(self._ended(y, problem, end, t))
+        return self._correct_positions(self._finish(y, problem, end, t))
 
-    def _begun(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
+    def _pose(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
         """The problem of a step without impacts, and its rows that would be closed."""
         problem = self._problem(y, u, h)
         return problem, problem.closed()
 
     def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
-        """The linear problem of a step from a state of what is integrated."""
+        """The linear problem of a step from a state of what is integrated.
+
+            K (free - v) = h f + J_b' p_b,   J_b free = goal   without the other rows
+            w = J v+ + offset                                 their rates at the end
+
+        J and J' v are known at the intermediate time: gaps and rates follow from there to both
+        ends of the step, to second order.
+        """
         mechanism, late = self._mechanism, (1.0 - self._theta) * h
-        x = self._on_the_way(y, h)
+        x = self._intermediate(y, h)
         M = np.array(mechanism.mass(x.q))
         slopes, dz = self._loads.slopes(x, u, self._theta * h), h * self._loads.rates(x, u)
         impulse = h * self._force(x, u, M) + slopes.push.dot(dz)
@@ -182,21 +189,21 @@ class MoreauJeanStep:
         goal = -(rows.rate(k, x) + late * drift + back * rows.residual(k, x))
         return J, goal, RowFactor(K, J)
 
-    def _solved(
+    def _solve(
         self, problem: StepProblem, closed: Which, y: State, u: Array | None
     ) -> tuple[StepProblem, Array]:
         """The problem with forces on the way to its end, and the velocity there."""
         end = self.row_solver.end(problem, closed, problem.free)
-        problem = self._corrected(problem, y, u, end)
+        problem = self._correct_forces(problem, y, u, end)
         return problem, self.row_solver.end(problem, closed, problem.free, end)
 
-    def _corrected(
+    def _correct_forces(
         self, problem: StepProblem, y: State, u: Array | None, end: Array
     ) -> StepProblem:
         """The problem with forces and rates on the way to a velocity at its end."""
         v, h, slopes, loads = problem.x.v, problem.h, problem.slopes, self._loads
         mean, dz = (1.0 - self._theta) * v + self._theta * end, problem.dz(end)
-        x = self._between(y, self._system.integrated(mean), y.z + self._theta * dz, h)
+        x = self._intermediate_with(y, self._system.integrated(mean), y.z + self._theta * dz, h)
         left_z = h * loads.rates(x, u) - dz
         left = h * self._force(x, u, problem.M) - problem.M.dot(end - v) + slopes.push.dot(left_z)
         response = problem.response
@@ -204,11 +211,11 @@ class MoreauJeanStep:
         still = dz + slopes.gain.dot(left_z) - slopes.by_v.dot(end)
         return problem._replace(free=free, dz_still=still)
 
-    def _on_the_way(self, y: State, h: float) -> State:
+    def _intermediate(self, y: State, h: float) -> State:
         """State of all joints at the intermediate time, with the velocity of y."""
-        return self._between(y, y.v, y.z, h)
+        return self._intermediate_with(y, y.v, y.z, h)
 
-    def _between(self, y: State, v: Array, z: Array, h: float) -> State:
+    def _intermediate_with(self, y: State, v: Array, z: Array, h: float) -> State:
         """State of all joints at the intermediate time, of a step with that mean velocity of y."""
         share = self._theta * h
         q = self._system.chart.integrate(y.q, share * v)
@@ -222,7 +229,7 @@ class MoreauJeanStep:
         """The part of g'' without the change of velocities as a step counts them."""
         return drift
 
-    def _after_impact(
+    def _take_impact(
         self, problem: StepProblem, closed: Which, hits: Which, y: State, met: list[list[int]]
     ) -> tuple[State, float]:
         """State after the next impact of a step, and what is left of it [s]; adds to what met."""
@@ -238,29 +245,30 @@ class MoreauJeanStep:
         slots = met[-1] if expands else list(chain(*met))
         before = v + wait * gained
         way, dz = 0.5 * wait * (v + before), wait / h * problem.dz(end)
-        y = self._moved(y, way, before, dz, y.t + wait)
+        y = self._move(y, way, before, dz, y.t + wait)
         v = self._impacts.impact(self._system.expand(y), slots, expands=expands).v
         return y._replace(v=np.array(self._system.integrated(v))), h - wait
 
-    def _until(self, turned: Slots, y: State, u: Array | None, h: float) -> float:
+    def _first_slip_end(self, slips: Slots, y: State, u: Array | None, h: float) -> float:
         """When the first of some slips ends within a step [s]; 0 where none is seen to."""
         for share in _SHARES:
-            problem, end = self._solved(*self._begun(y, u, share * h), y, u)
-            part = self.row_solver.ending(turned, problem, end)
+            problem, end = self._solve(*self._pose(y, u, share * h), y, u)
+            part = self.row_solver.first_slip_end(slips, problem, end)
             if part:
                 return part if part < _WHOLE * h else 0.0
         return 0.0
 
-    def _ended(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
+    def _finish(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
+        """The state at the end of a step: q+ = q (+) h ((1 - theta) v + theta v+)."""
         way = problem.h * ((1.0 - self._theta) * problem.x.v + self._theta * end)
         dz = problem.dz(end)
-        back = self.row_solver.given_back(problem, end)
-        if back is not None:
-            energy, ways = self._system.energy, (way, way - back)
-            way = min(ways, key=lambda w: energy(self._moved(y, w, end, dz, t)))
-        return self._moved(y, way, end, dz, t)
+        correction = self.row_solver.way_correction(problem, end)
+        if correction is not None:
+            energy, ways = self._system.energy, (way, way - correction)
+            way = min(ways, key=lambda w: energy(self._move(y, w, end, dz, t)))
+        return self._move(y, way, end, dz, t)
 
-    def _outside(self, y: State) -> State:
+    def _correct_positions(self, y: State) -> State:
         """The state with no one-sided row beyond 0, moved the least in the mass metric."""
         if not self._rows.are_one_sided:
             return y
@@ -269,10 +277,10 @@ class MoreauJeanStep:
             way = self._correction.way(x)
             if way is None:
                 break
-            y = self._moved(y, way, x.v, 0.0 * y.z, y.t)
+            y = self._move(y, way, x.v, 0.0 * y.z, y.t)
         return y
 
-    def _moved(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
+    def _move(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
         """A state of what is integrated, after a way and with a velocity of all joints."""
         system = self._system
         q = system.chart.integrate(y.q, system.integrated(way))
@@ -301,14 +309,14 @@ class FreeBodyStep(MoreauJeanStep):
         self._q = system.robot.neutral()
         self._axes = self._bodies.axes(self._q)
 
-    def _on_the_way(self, y: State, h: float) -> State:
+    def _intermediate(self, y: State, h: float) -> State:
         """State of all joints at the intermediate time, with the velocity of y."""
         before = self._axes = self._integrated.axes(y.q)
-        x = self._between(y, y.v, y.z, h)
+        x = self._intermediate_with(y, y.v, y.z, h)
         self._axes, self._q = self._bodies.axes(x.q), x.q
         return x._replace(v=self._bodies.turned(x.v, before, self._axes))
 
-    def _between(self, y: State, v: Array, z: Array, h: float) -> State:
+    def _intermediate_with(self, y: State, v: Array, z: Array, h: float) -> State:
         """State of all joints at the intermediate time, of a step with that mean velocity of y."""
         share, system = self._theta * h, self._system
         q = self._integrated.moved(system.chart, y.q, share * v, self._axes)
@@ -329,7 +337,7 @@ class FreeBodyStep(MoreauJeanStep):
         left: Array = drift - J.dot(self._bodies.turning(x.v))
         return left
 
-    def _moved(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
+    def _move(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
         """A state of what is integrated, after a way and with a velocity of all joints."""
         system, bodies = self._system, self._integrated
         q = bodies.moved(system.chart, y.q, system.integrated(way), self._axes)
@@ -337,15 +345,15 @@ class FreeBodyStep(MoreauJeanStep):
         v = bodies.turned(system.integrated(v), self._axes, bodies.axes(q))
         return State(t, q, v, system.internals.inside(y.z + dz), y.mode)
 
-    def _ended(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
+    def _finish(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
         """The state at the end of a step; other steps may have been tried since its problem."""
         self._axes = self._bodies.axes(problem.x.q)
-        return super()._ended(y, problem, end, t)
+        return super()._finish(y, problem, end, t)
 
-    def _outside(self, y: State) -> State:
+    def _correct_positions(self, y: State) -> State:
         """The state with no one-sided row beyond 0, moved the least in the mass metric."""
         self._axes = self._integrated.axes(y.q)
-        return super()._outside(y)
+        return super()._correct_positions(y)
 
 
 def rows_of_step(

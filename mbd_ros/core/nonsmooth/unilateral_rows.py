@@ -155,18 +155,18 @@ class UnilateralSolver:
     def forget(self) -> None:
         """Begin to look for the largest residuals anew."""
 
-    def turned(self, problem: StepProblem, end: Array) -> Slots | None:
+    def early_slips(self, problem: StepProblem, end: Array) -> Slots | None:
         """Tangents of contacts whose slips end within the step; without contacts None."""
         return None
 
-    def ending(self, turned: Slots, problem: StepProblem, end: Array) -> float:
+    def first_slip_end(self, slips: Slots, problem: StepProblem, end: Array) -> float:
         """When the first of some slips ends [s]."""
         return 0.0
 
     def accept(self) -> None:
-        """Go on from the step that `turned` looked at."""
+        """Go on from the step that `early_slips` looked at."""
 
-    def given_back(self, problem: StepProblem, end: Array) -> Array | None:
+    def way_correction(self, problem: StepProblem, end: Array) -> Array | None:
         """What is taken from the way of the step [m, rad], shape (nv,); without contacts None."""
         return None
 
