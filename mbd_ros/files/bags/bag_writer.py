@@ -30,9 +30,9 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Writer
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_paths import MARK, check_target
 from mbd_ros.files.bags.bag_types import TYPES, to_cdr
-from mbd_ros.files.bags.mcap_chunks import MESSAGE, MESSAGE_INDEX, RECORD, put_pieces
+from mbd_ros.files.bags.mcap_chunks import CHUNK, FRAME, MESSAGE, MESSAGE_INDEX, RECORD, put_pieces
 
-_CHUNK = 2**20  # bytes after which rosbags ends a chunk
+_CHUNK_BYTES = 2**20  # bytes after which rosbags ends a chunk
 _NEVER = 2**63 - 1
 _INSERTED = 32  # messages a statement of sqlite3, which costs more than a message
 _SHOWN = 40  # characters of a name in that of a temporary folder: names end at 255 bytes
@@ -110,7 +110,7 @@ class BagWriter:
             known = [self._connection(part.topic, part.msgtype) for part in parts]
             if not parts:
                 return
-            append(self._writer.storage, parts, [connection.id for connection in known])
+            append_rows(self._writer.storage, parts, [connection.id for connection in known])
             for part, connection in zip(parts, known, strict=True):
                 times, writer = part.log_times, self._writer
                 writer.counts[connection.id] += len(times)
@@ -174,7 +174,7 @@ class Rows(NamedTuple):
     cdr: NDArray[np.uint8]
 
 
-def append(storage: Any, parts: Sequence[Rows], channels: Sequence[int]) -> None:
+def append_rows(storage: Any, parts: Sequence[Rows], channels: Sequence[int]) -> None:
     """Write messages in the order of their log times, those of one time in the order of parts.
 
     Args:
@@ -184,12 +184,12 @@ def append(storage: Any, parts: Sequence[Rows], channels: Sequence[int]) -> None
     times = np.concatenate([part.log_times for part in parts])
     order = np.argsort(times, kind="stable")
     if isinstance(storage, Sqlite3Writer):
-        _insert(storage, parts, channels, order)
+        _insert_rows(storage, parts, channels, order)
     else:
-        _append(storage, parts, channels, order)
+        _append_chunks(storage, parts, channels, order)
 
 
-def _insert(
+def _insert_rows(
     storage: Sqlite3Writer, parts: Sequence[Rows], channels: Sequence[int], order: NDArray[np.intp]
 ) -> None:
     rows: list[tuple[int, int, bytes]] = []
@@ -208,7 +208,7 @@ def _insert(
         )
 
 
-def _append(
+def _append_chunks(
     storage: McapWriter, parts: Sequence[Rows], channels: Sequence[int], order: NDArray[np.intp]
 ) -> None:
     """Chunks of about the length that rosbags gives them; what it has pending goes first."""
@@ -225,7 +225,7 @@ def _append(
     for part, channel, at in zip(parts, channels, each, strict=True):
         heads = np.zeros(len(at), RECORD)
         heads["opcode"], heads["channel"] = MESSAGE, channel
-        heads["length"] = part.cdr.shape[1] + RECORD.itemsize - 9
+        heads["length"] = part.cdr.shape[1] + RECORD.itemsize - FRAME
         heads["log_time"] = heads["publish_time"] = part.log_times
         put_pieces(data, at, heads.view(np.uint8).reshape(len(at), -1))
         put_pieces(data, at + RECORD.itemsize, part.cdr)
@@ -249,7 +249,7 @@ def _ends_of_chunks(ends: NDArray[np.int64]) -> list[int]:
     """0, and where chunks end that begin there, of messages that end at these places."""
     found = [0]
     while found[-1] < ends[-1]:
-        last = np.searchsorted(ends, found[-1] + _CHUNK, side="right")
+        last = np.searchsorted(ends, found[-1] + _CHUNK_BYTES, side="right")
         found.append(int(ends[min(last, len(ends) - 1)]))
     return found
 
@@ -274,7 +274,7 @@ def _write_chunk(
     packing = struct.pack("<I", 0)  # no compression
     size = struct.pack("<Q", len(data))
     head = span + size + struct.pack("<I", 0) + packing + size
-    bio.write(struct.pack("<BQ", 0x06, len(head) + len(data)) + head)
+    bio.write(struct.pack("<BQ", CHUNK, len(head) + len(data)) + head)
     bio.write(data.data)
     end, offsets = bio.tell(), b""
     for channel, entries in index:

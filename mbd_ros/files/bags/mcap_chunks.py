@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 from rosbags.rosbag2.storage_mcap import ChunkInfo, McapReader, decompress, msgsrc
 
-MESSAGE, MESSAGE_INDEX = 0x05, 0x07
+MESSAGE, CHUNK, MESSAGE_INDEX = 0x05, 0x06, 0x07  # opcodes
 RECORD = np.dtype(
     [
         *(("opcode", "u1"), ("length", "<u8"), ("channel", "<u2"), ("sequence", "<u4")),
         *(("log_time", "<u8"), ("publish_time", "<u8")),
     ]
 )
-_FRAME = 9  # bytes of opcode and length, which a length does not count
+FRAME = 9  # bytes of opcode and length, which a length does not count
 _CHECKSUM, _PACKED = 24, 40  # places in a chunk record of its checksum, and of what it holds
 _INDEX = struct.Struct("<BQHI")
 Found = tuple[NDArray[np.int64], NDArray[np.uint8], NDArray[np.int64], NDArray[np.int64]]
@@ -61,7 +61,7 @@ def indexed(storage: McapReader, chunk: ChunkInfo, connections: Sequence[Any]) -
     if lacking or at.min() < 0 or at.max() > len(data) - RECORD.itemsize:
         return None
     heads = pieces_of(data, at, RECORD.itemsize).view(RECORD)[:, 0]
-    sizes = heads["length"].astype(np.int64) + _FRAME - RECORD.itemsize
+    sizes = heads["length"].astype(np.int64) + FRAME - RECORD.itemsize
     starts = at + RECORD.itemsize
     is_known = np.isin(heads["channel"], [c.id for c in connections])
     fits = (heads["opcode"] == MESSAGE) & is_known & (heads["log_time"] == entries[:, 0])
@@ -100,7 +100,7 @@ def put_pieces(
 
 def _unpacked(storage: McapReader, chunk: ChunkInfo) -> bytes:
     """What a chunk holds, its checksum looked at."""
-    begin = chunk.chunk_start_offset + _FRAME
+    begin = chunk.chunk_start_offset + FRAME
     (checksum,) = struct.unpack("<I", _read(storage, begin + _CHECKSUM, 4))
     packed = _read(storage, begin + _PACKED + len(chunk.compression), chunk.compressed_size)
     return decompress(packed, chunk.compression, chunk.uncompressed_size, checksum)
