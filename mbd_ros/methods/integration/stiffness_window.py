@@ -266,6 +266,10 @@ class Bouncer:
         """The q1 - q0."""
         return q1 - q0
 
+    def rate(self, dq: Array, v: Array) -> Array:
+        """The v."""
+        return v
+
     def accelerator(self, mode: Mode = ()) -> Accelerator:
         """Forces of the springs that are pressed."""
 
