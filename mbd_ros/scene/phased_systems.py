@@ -241,7 +241,6 @@ class PhaseExits:
     """What ends the phases of a scene, and what may not happen in them.
 
     Args:
-        robot: The robot.
         contacts: All contacts by name.
     """
 
@@ -258,7 +257,6 @@ class PhaseExits:
         """A phase.
 
         Args:
-            plan: Its plan.
             at: Where its multipliers stand, by name.
             following: Number of the next phase, one a guard.
             resets: What happens at once, one a guard.
@@ -378,7 +376,6 @@ def relabelling_of(scene: Scene, entry: ResetEntry, where: str) -> Relabelling |
     """The relabelling of a reset; None where everything keeps its name.
 
     Args:
-        scene: The scene.
         entry: The reset.
         where: File and key, for the messages.
 

@@ -34,7 +34,6 @@ def read_task(path: str | Path, scene: Scene) -> Task:
 
     Args:
         path: Task file, `package://<package>/<path>`, or the name of an embedded task.
-        scene: The scene.
 
     Raises:
         SceneError: Names file, key, what is wrong and what is accepted.

@@ -63,7 +63,6 @@ def with_numbers(scene: SceneKind, numbers: Mapping[str, Any]) -> SceneKind:
     """A scene with other numbers; parts, and sections that depend on none of them, are kept.
 
     Args:
-        scene: The scene.
         numbers: Numbers, or lists of them, by `<name>.<argument>`; inertias of links by
             `<link>.mass`, `.com` and `.inertia`; where the argument is a
             mapping, by `<name>.<argument>.<key>`.
@@ -109,7 +108,6 @@ def _rebuilt(
     """The scene of other entries, without building again what they do not change.
 
     Args:
-        scene: The scene.
         origin: Of the new one.
         entries: Of the new one.
         changed: Keys of sections that are built again, and with them what comes after them.

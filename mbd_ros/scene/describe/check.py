@@ -50,7 +50,6 @@ def describe(scene: Scene, tell: Tell | None = None) -> Iterator[str]:
     """The lines of `mbd-ros check`.
 
     Args:
-        scene: A built scene.
         tell: Is told what takes time.
 
     Yields:
@@ -251,7 +250,6 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
     II.6, on the order of steps across discontinuities.
 
     Args:
-        scene: The scene.
         layout: Its rows, some of which give way.
     """
     method = integrator_of(scene)
@@ -308,7 +306,6 @@ def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> I
     """What was compiled for a scene that asks for it, and what a step costs.
 
     Args:
-        scene: The scene.
         has_start: Whether it has a start from which steps can be taken.
         tell: Is told what takes time.
 

@@ -26,7 +26,6 @@ def inverse_cost(scene: Scene, x: State) -> str:
     """Time of a call of inverse dynamics; empty where a motion does not show what it takes.
 
     Args:
-        scene: The scene.
         x: Consistent state of all joints.
     """
     if scene.unmeasured:
@@ -57,8 +56,6 @@ def forward_cost(scene: Scene, system: System, x: State) -> str:
     """Time of a call of forward dynamics.
 
     Args:
-        scene: The scene.
-        system: Its system.
         x: Consistent start of what it integrates.
     """
     model, given = system.model, scene.initial

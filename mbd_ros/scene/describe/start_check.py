@@ -21,7 +21,6 @@ def fiber_warnings(robot: Robot, muscles: "Sequence[Muscle]", x: State, u: Array
     """Warnings of muscles whose fibres may start at several lengths, in equilibrium at each.
 
     Args:
-        robot: The robot.
         muscles: Muscles of the scene.
         x: State of all joints, z NaN where nothing is given.
         u: All inputs at the start.
@@ -42,7 +41,6 @@ def start_warnings(robot: Robot, constraints: Sequence[Constraint], x: State) ->
     """Warnings of an initial state beyond stops, or beyond the limits of the description.
 
     Args:
-        robot: The robot.
         constraints: Constraints of the scene.
         x: State of all joints.
     """

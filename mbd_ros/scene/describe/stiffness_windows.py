@@ -25,8 +25,6 @@ def step_lines(scene: Scene, system: System, x: State) -> Iterator[Line]:
     """Windows of contacts that give way, and warnings of a step that is too long.
 
     Args:
-        scene: The scene.
-        system: Its system.
         x: Consistent start of what it integrates.
     """
     yield from _windows(scene, system, x)
@@ -65,7 +63,6 @@ def windows_at(
     """The windows of contacts at a state, as if each touched with its nearest features.
 
     Args:
-        system: The system.
         parts: Contacts that give way.
         method: The integrator.
         dt: Its step [s].
@@ -127,7 +124,6 @@ def depth_doubts(system: System, parts: Sequence[Any], states: Sequence[State]) 
     """Warnings of contacts that go deeper than they may, where they are deepest.
 
     Args:
-        system: The system.
         parts: Contacts that give way.
         states: States of all joints.
     """

@@ -36,7 +36,6 @@ def collisions_of(robot: Robot, name: str, where: str) -> list[Collision]:
     """All collision geometries of a link.
 
     Args:
-        robot: The robot.
         name: Of the link, as the scene calls it.
         where: File and key, for the messages.
 
@@ -76,7 +75,6 @@ def geometry_of(recipe: Recipe, element: ElementTree.Element, where: str) -> Col
 
     Args:
         recipe: What the element is from.
-        element: The element.
         where: File and key, for the messages.
 
     Raises:

@@ -16,7 +16,6 @@ def read_mesh(file: Path, scale: Sequence[float], where: str) -> Polyhedron:
     """The convex body of an STL, OBJ or DAE file.
 
     Args:
-        file: The file.
         scale: Factors along x, y and z.
         where: File and key, for the messages.
 

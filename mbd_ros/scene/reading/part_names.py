@@ -42,7 +42,6 @@ def name_parts(
         robot: The robot; None where there is none.
         built: Sections that are built before, by key.
         entries: One a part.
-        parts: The parts.
     """
     taken = {entry.name for entry in entries} | {name for _, name in _names(built)}
     taken |= _joints(robot)

@@ -32,7 +32,6 @@ def path_of(robot: Robot, given: Any, where: str) -> Path:
     """The path of an entry.
 
     Args:
-        robot: The robot.
         given: `points` from end to end, perhaps with `wraps`; `joints` with radius or
             coefficients; `polynomial` of several joints; or some of these.
         where: File and key, for the messages.
@@ -136,7 +135,6 @@ def with_paths(
         part: The class that takes the entry.
         entry: What the file holds.
         where: File and key, for the messages.
-        robot: The robot.
         known: The paths of the scene by name.
 
     Raises:
@@ -159,7 +157,6 @@ def read_wrap(robot: Robot, given: Any, where: str) -> Wrap:
     """A wrap: a frame, one surface and perhaps pose, side and range.
 
     Args:
-        robot: The robot.
         given: What the file holds.
         where: File and key, for the messages.
 

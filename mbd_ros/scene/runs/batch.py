@@ -26,7 +26,6 @@ class Batch:
     """Runs of a scene side by side: in lanes of vectors where it can be, else one by one.
 
     Args:
-        scene: The scene.
         count: How many runs.
         parameters: Names of numbers that differ, as `with_numbers` takes them.
         threads: How many cores work at the same time; all by default.

@@ -178,7 +178,6 @@ def traced(
     """The functions of a scene, with numbers of its parts as arguments.
 
     Args:
-        scene: The scene.
         system: One that it made; a new one by default.
         parameters: `<name of a part>.<argument>`, as `with_numbers` takes them: p, in this order.
         mode: Of rows that give way at events.
@@ -197,7 +196,6 @@ def parts_of_symbols(scene: Scene, symbols: Mapping[str, Any]) -> dict[str, Part
     """The parts of which numbers are replaced, by name; those of the scene stay.
 
     Args:
-        scene: The scene.
         symbols: Symbols by `<name of a part>.<argument>`.
 
     Raises:
@@ -245,7 +243,6 @@ def compiled_system(
     Those by parameters are in the order in which they are given.
 
     Args:
-        scene: The scene.
         parameters: Values by name, as `with_numbers` takes them.
         solver: Entry that replaces that of the scene; of it, the tier counts.
         tell: Is told what takes time.

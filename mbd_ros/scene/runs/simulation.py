@@ -38,7 +38,6 @@ def build_simulation(
     """A simulation with its own Pinocchio data.
 
     Args:
-        scene: The scene.
         integrator: Entry that replaces that of the scene.
         dt: Step that replaces that of the scene [s].
         stabilization: Entry that replaces that of the scene.

@@ -64,7 +64,6 @@ def mapping_of(text: str, source: str) -> dict[str, Any]:
     """The mapping that YAML text holds.
 
     Args:
-        text: The text.
         source: Where it comes from, for the messages.
 
     Raises:
