@@ -6,6 +6,8 @@ with Y the regressor of inverse dynamics, so that p are ten numbers of each body
 of its own. They need not be those of a body by themselves.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
@@ -23,11 +25,18 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError
 
-# ---- corrections ------------------------------------------------------------------------------
-# Corrections of inertias, friction and stiffness: what was learned that is linear in its numbers.
-
-
-_NONE: Mapping[str, Sequence[float]] = MappingProxyType({})
+_NO_NUMBERS: Mapping[str, Sequence[float]] = MappingProxyType({})
+FADE = 0.25  # width of a fade, over half of what an entry spans, unless a scene says another
+VERSION = 1
+ABOUT, SUM = "mbd_ros", "mbd_ros.sha256"  # keys of the metadata
+ZEROS = "0" * 64
+LARGEST = 64_000_000  # bytes
+_TABLES = ("robot", "physics", "bodies", "friction", "stiffness", "given")
+_VALUE = b"\x12\x40"  # protobuf: field 2, 64 bytes
+_STATES = 4
+_SAME = 1.0e-6  # of the largest number: what writing and reading a description or scene leaves
+_FORCE = "force "  # how names of forces begin
+_ROTORS = "inertia of drives"
 
 
 class Corrections:
@@ -52,7 +61,7 @@ class Corrections:
         robot: Robot,
         bodies: Mapping[str, Sequence[float]],
         friction: Mapping[str, Sequence[float]],
-        stiffness: Mapping[str, Sequence[float]] = _NONE,
+        stiffness: Mapping[str, Sequence[float]] = _NO_NUMBERS,
     ) -> None:
         if any(len(values) != 2 for values in stiffness.values()):
             raise ModelError("the corrections of stiffness are not stiffness and rest")
@@ -122,13 +131,6 @@ def _pairs(robot: Robot, bodies: Mapping[str, Sequence[float]]) -> tuple[tuple[A
     return tuple((model, pin.Data(model)) for model in (with_them, without))
 
 
-# ---- training range ---------------------------------------------------------------------------
-# How far a learned force is trusted: wholly where it has learned, less beyond.
-
-
-FADE = 0.25  # width of a fade, over half of what an entry spans, unless a scene says another
-
-
 class TrainingRange:
     """A box of positions and velocities, and how trust fades beyond its walls.
 
@@ -161,28 +163,11 @@ class TrainingRange:
         return np.asarray((1.0 + 2.0 * far) * (1.0 - far) ** 2)
 
 
-# ---- model file -------------------------------------------------------------------------------
-# The contents of a file with a learned model: a network as ONNX, with what it belongs to.
-#
-# The file says in its metadata for which robot it was learned and within which range, and holds
-# the
-# SHA-256 of itself, computed with zeros in the place of the sum. Reading it runs no code.
-
-
-VERSION = 1
-ABOUT, SUM = "mbd_ros", "mbd_ros.sha256"  # keys of the metadata
-ZEROS = "0" * 64
-LARGEST = 64_000_000  # bytes
-_MODEL_FILE_SAME = (
-    1.0e-6  # of the largest number of a body: what writing and reading a description leaves
-)
-_TABLES = ("robot", "physics", "bodies", "friction", "stiffness", "given")
-_MODEL_FILE_NONE: Mapping[str, Sequence[float]] = MappingProxyType({})
-_VALUE = b"\x12\x40"  # protobuf: field 2, 64 bytes
-
-
 class LearnedFile(NamedTuple):
-    """A file that a scene names.
+    """A file with a learned model that a scene names: a network as ONNX.
+
+    Its metadata say for which robot it was learned and within which range, and hold the SHA-256 of
+    the file, computed with zeros in the place of the sum. Reading it runs no code.
 
     Attributes:
         name: For the messages.
@@ -191,6 +176,22 @@ class LearnedFile(NamedTuple):
 
     name: str
     content: bytes
+
+
+def about(file: LearnedFile) -> About:
+    """What a file says of itself.
+
+    Raises:
+        ModelError: It is no such file, of another version, or damaged; names it.
+    """
+    content, place = file.content, _place()
+    at = content.find(place) + len(place)
+    if content.count(place) != 1 or len(content) < at + len(ZEROS):
+        raise ModelError(f"{file.name} is no file of mbd-ros learn, or it is cut off")
+    blank = content[:at] + ZEROS.encode() + content[at + len(ZEROS) :]
+    if _sum(blank) != content[at : at + len(ZEROS)]:
+        raise ModelError(f"{file.name} is damaged: its contents do not match their sum")
+    return about_of(file.name, _metadata(file))
 
 
 class About(NamedTuple):
@@ -217,11 +218,11 @@ class About(NamedTuple):
     low: Array
     high: Array
     robot: Mapping[str, Sequence[float]]
-    physics: Mapping[str, Sequence[float]] = _MODEL_FILE_NONE
-    bodies: Mapping[str, Sequence[float]] = _MODEL_FILE_NONE
-    friction: Mapping[str, Sequence[float]] = _MODEL_FILE_NONE
-    stiffness: Mapping[str, Sequence[float]] = _MODEL_FILE_NONE
-    given: Mapping[str, Sequence[float]] = _MODEL_FILE_NONE
+    physics: Mapping[str, Sequence[float]] = _NO_NUMBERS
+    bodies: Mapping[str, Sequence[float]] = _NO_NUMBERS
+    friction: Mapping[str, Sequence[float]] = _NO_NUMBERS
+    stiffness: Mapping[str, Sequence[float]] = _NO_NUMBERS
+    given: Mapping[str, Sequence[float]] = _NO_NUMBERS
 
     def text(self) -> str:
         """As metadata of a file."""
@@ -230,31 +231,13 @@ class About(NamedTuple):
         return json.dumps({"version": VERSION, **values})
 
 
-def signed(content: bytes) -> bytes:
-    """A file that holds zeros in the place of its sum, with the sum.
-
-    Raises:
-        ValueError: There is no such place, or there are several.
-    """
-    if content.count(_place()) != 1:
-        raise ValueError("the metadata have no place for the sum")
-    return content.replace(_place() + ZEROS.encode(), _place() + _sum(content))
+def _place() -> bytes:
+    """What stands before the sum."""
+    return SUM.encode() + _VALUE
 
 
-def about(file: LearnedFile) -> About:
-    """What a file says of itself.
-
-    Raises:
-        ModelError: It is no such file, of another version, or damaged; names it.
-    """
-    content, place = file.content, _place()
-    at = content.find(place) + len(place)
-    if content.count(place) != 1 or len(content) < at + len(ZEROS):
-        raise ModelError(f"{file.name} is no file of mbd-ros learn, or it is cut off")
-    blank = content[:at] + ZEROS.encode() + content[at + len(ZEROS) :]
-    if _sum(blank) != content[at : at + len(ZEROS)]:
-        raise ModelError(f"{file.name} is damaged: its contents do not match their sum")
-    return about_of(file.name, _metadata(file))
+def _sum(content: bytes) -> bytes:
+    return hashlib.sha256(content).hexdigest().encode()
 
 
 def _metadata(file: LearnedFile) -> dict[str, Any]:
@@ -268,6 +251,17 @@ def _metadata(file: LearnedFile) -> dict[str, Any]:
     if not isinstance(found, dict):
         raise ModelError(f"{file.name} does not say what it belongs to")
     return found
+
+
+def signed(content: bytes) -> bytes:
+    """A file that holds zeros in the place of its sum, with the sum.
+
+    Raises:
+        ValueError: There is no such place, or there are several.
+    """
+    if content.count(_place()) != 1:
+        raise ValueError("the metadata have no place for the sum")
+    return content.replace(_place() + ZEROS.encode(), _place() + _sum(content))
 
 
 def about_of(name: str, found: dict[str, Any]) -> About:
@@ -311,35 +305,6 @@ def _table(given: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:
     return found
 
 
-def _place() -> bytes:
-    """What stands before the sum."""
-    return SUM.encode() + _VALUE
-
-
-def _sum(content: bytes) -> bytes:
-    return hashlib.sha256(content).hexdigest().encode()
-
-
-def numbers_of(robot: Robot) -> dict[str, list[float]]:
-    """Numbers by which a model knows its robot again.
-
-    Gravity; of each body that hangs on something its ten inertial numbers, and where its joint
-    stands on a body that moves, too. A base that is free in one scene and fixed in another is the
-    same robot.
-    """
-    model, roots = robot.model, {0, *(base.joint for base in robot.bases)}
-    found: dict[str, list[float]] = {"gravity": model.gravity.linear.tolist()}
-    for body in moving_bodies(robot):
-        if body.joint in roots:
-            continue
-        numbers = model.inertias[body.joint].toDynamicParameters().tolist()
-        if int(model.parents[body.joint]) not in roots:
-            place = model.jointPlacements[body.joint]
-            numbers += [*place.translation.tolist(), *place.rotation.ravel().tolist()]
-        found[body.name] = numbers
-    return found
-
-
 def check_robot(name: str, said: About, robot: Robot) -> None:
     """Refuse a model of another robot.
 
@@ -364,58 +329,12 @@ def check_robot(name: str, said: About, robot: Robot) -> None:
             raise ModelError(f"{name} was learned on {said.scene}, which has a body '{key}'")
         there = np.array(numbers, dtype=np.float64)
         size = max(float(np.abs(there).max(initial=0.0)), 1.0e-12)
-        if (
-            there.shape != np.shape(here[key])
-            or np.abs(there - here[key]).max() > _MODEL_FILE_SAME * size
-        ):
+        if there.shape != np.shape(here[key]) or np.abs(there - here[key]).max() > _SAME * size:
             what = key if key == "gravity" else f"inertia or place of '{key}'"
             raise ModelError(
                 f"{name} was learned on {said.scene} with another {what}: a residual belongs to "
                 "the numbers that it was learned on; learn it again, or load that scene"
             )
-
-
-# ---- known physics ----------------------------------------------------------------------------
-# What a scene exerts besides its inertias, by which a learned model knows its scene again.
-#
-# Numbers in a file can say the same in many ways; forces cannot. So parts are asked for their
-# forces
-# at some states within the range of the model, and dependent joints for where they are.
-
-
-_STATES = 4
-_SAME = 1.0e-6  # of the largest number: what writing and reading a scene leaves
-_FORCE = "force "  # how names of forces begin
-_ROTORS = "inertia of drives"
-
-
-def physics_of(
-    robot: Robot, couplings: Couplings, forces: Sequence[Load], said: About
-) -> dict[str, list[float]]:
-    """Forces of each part, places of dependent joints, and inertia of drives.
-
-    Args:
-        robot: The robot.
-        couplings: Its dependent joints.
-        forces: Parts that act by themselves, without the model itself.
-        said: Joints and range of the model.
-
-    Returns:
-        By words for people, what exerts nothing left out.
-    """
-    asked = [part for part in forces if not part.inputs and not part.internal]
-    k, at = Kinematics(robot), [robot.joint(name).v for name in said.joints]
-    found: dict[str, list[float]] = {}
-    for q, v in _states(robot, couplings, said):
-        k.refresh(q, v, max((part.reads for part in asked), default=Reads.NOTHING))
-        for part in asked:
-            force = part.force(k, State(0.0, q, v), NONE)[at]
-            found.setdefault(f"{_FORCE}'{part.name}'", []).extend(force.tolist())
-        for name in couplings.dependent:
-            place = float(q[robot.joint(name).q])
-            found.setdefault(f"coupling of '{name}'", []).append(place)
-    found = {name: values for name, values in found.items() if np.any(values)}
-    return found | {_ROTORS: robot.model.armature[at].tolist()}
 
 
 def check_physics(name: str, said: About, here: Mapping[str, Sequence[float]]) -> None:
@@ -463,6 +382,39 @@ def _differ(there: Array, own: Array) -> bool:
     return float(np.abs(there - own).max()) > _SAME * float(np.abs(there).max())
 
 
+def physics_of(
+    robot: Robot, couplings: Couplings, forces: Sequence[Load], said: About
+) -> dict[str, list[float]]:
+    """Forces of each part, places of dependent joints, and inertia of drives.
+
+    By these a learned model knows its scene again: numbers in a file can say the same in many
+    ways, forces cannot. So parts are asked for their forces at some states within the range of the
+    model, and dependent joints for where they are.
+
+    Args:
+        robot: The robot.
+        couplings: Its dependent joints.
+        forces: Parts that act by themselves, without the model itself.
+        said: Joints and range of the model.
+
+    Returns:
+        By words for people, what exerts nothing left out.
+    """
+    asked = [part for part in forces if not part.inputs and not part.internal]
+    k, at = Kinematics(robot), [robot.joint(name).v for name in said.joints]
+    found: dict[str, list[float]] = {}
+    for q, v in _states(robot, couplings, said):
+        k.refresh(q, v, max((part.reads for part in asked), default=Reads.NOTHING))
+        for part in asked:
+            force = part.force(k, State(0.0, q, v), NONE)[at]
+            found.setdefault(f"{_FORCE}'{part.name}'", []).extend(force.tolist())
+        for name in couplings.dependent:
+            place = float(q[robot.joint(name).q])
+            found.setdefault(f"coupling of '{name}'", []).append(place)
+    found = {name: values for name, values in found.items() if np.any(values)}
+    return found | {_ROTORS: robot.model.armature[at].tolist()}
+
+
 def _states(robot: Robot, couplings: Couplings, said: About) -> list[tuple[Array, Array]]:
     """Positions and velocities of all joints, the same for the same range."""
     random, m = np.random.default_rng(0), len(said.joints)
@@ -474,4 +426,24 @@ def _states(robot: Robot, couplings: Couplings, said: About) -> list[tuple[Array
             q[joint.q], v[joint.v] = place, rate
         couplings.expand(q, v, a)
         found.append((q, v))
+    return found
+
+
+def numbers_of(robot: Robot) -> dict[str, list[float]]:
+    """Numbers by which a model knows its robot again.
+
+    Gravity; of each body that hangs on something its ten inertial numbers, and where its joint
+    stands on a body that moves, too. A base that is free in one scene and fixed in another is the
+    same robot.
+    """
+    model, roots = robot.model, {0, *(base.joint for base in robot.bases)}
+    found: dict[str, list[float]] = {"gravity": model.gravity.linear.tolist()}
+    for body in moving_bodies(robot):
+        if body.joint in roots:
+            continue
+        numbers = model.inertias[body.joint].toDynamicParameters().tolist()
+        if int(model.parents[body.joint]) not in roots:
+            place = model.jointPlacements[body.joint]
+            numbers += [*place.translation.tolist(), *place.rotation.ravel().tolist()]
+        found[body.name] = numbers
     return found

@@ -1,5 +1,7 @@
 """Efforts that give accelerations, and accelerations within limits."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -12,11 +14,9 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import NEARLY_SINGULAR, TINY
 from mbd_ros.errors import ModelError, SolveError
 
-# ---- mobility factor --------------------------------------------------------------------------
-# Efforts that give accelerations, also where actuation is redundant.
-
-
 _SUCCESS = eigenpy.ComputationInfo.Success
+_IDLE_COST = 1.0e-2  # of that of the least mobile direction
+_RESERVE = 2.0  # times the braking acceleration: makes up for what a held effort loses
 
 
 class MobilityFactor:
@@ -68,17 +68,10 @@ class MobilityFactor:
         return a if self.is_regular else self._vectors.dot(self._vectors.T.dot(a))
 
 
-# ---- tracking metric --------------------------------------------------------------------------
-# Efforts that give accelerations, and the error that limits add to the accelerations.
-#
-# min |a - a_ref|²_W = sum weight (a_free + mobility tau - a_ref)²
-
-
-_IDLE_COST = 1.0e-2  # of that of the least mobile direction
-
-
 class TrackingMetric:
     """The weighted squared error at one mobility.
+
+        min |a - a_ref|²_W = sum weight (a_free + mobility tau - a_ref)²
 
     Every effort is tau = efforts(a_ref - a_free) + T y; y is the error beyond the least one, in
     the root of its weight, and the squared error grows by |y|². Where the mobility is singular
@@ -125,29 +118,6 @@ class TrackingMetric:
         cost = _IDLE_COST * float(least) if len(self._R) else 1.0
         active = self._moving.dot(np.linalg.inv(self._R))
         return np.hstack([active, self._idle / cost])
-
-
-# ---- motion limits ----------------------------------------------------------------------------
-# Accelerations with which joints stay within their position and velocity limits.
-
-
-_RESERVE = 2.0  # times the braking acceleration: makes up for what a held effort loses
-
-
-class AccelerationBox(NamedTuple):
-    """Accelerations that joints may have over the horizon.
-
-    Attributes:
-        lower: [rad/s^2 or m/s^2], shape (k,).
-        upper: Same.
-        position_below: Whether the lower one is of the position limit, not of the velocity limit.
-        position_above: Same of the upper one.
-    """
-
-    lower: Array
-    upper: Array
-    position_below: NDArray[np.bool_]
-    position_above: NDArray[np.bool_]
 
 
 class MotionLimits:
@@ -254,3 +224,19 @@ def _check(horizon: float, braking: float, margin: float) -> None:
 def _is_limited(joint: Joint, position: bool, velocity: bool) -> bool:
     is_bounded = np.isfinite(joint.lower) or np.isfinite(joint.upper)
     return bool((position and is_bounded) or (velocity and np.isfinite(joint.max_velocity)))
+
+
+class AccelerationBox(NamedTuple):
+    """Accelerations that joints may have over the horizon.
+
+    Attributes:
+        lower: [rad/s^2 or m/s^2], shape (k,).
+        upper: Same.
+        position_below: Whether the lower one is of the position limit, not of the velocity limit.
+        position_above: Same of the upper one.
+    """
+
+    lower: Array
+    upper: Array
+    position_below: NDArray[np.bool_]
+    position_above: NDArray[np.bool_]

@@ -1,5 +1,7 @@
 """Sliding mode control: the sliding variable, reaching laws, super-twisting."""
 
+from __future__ import annotations
+
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
@@ -10,8 +12,10 @@ from mbd_ros.errors import ModelError
 from mbd_ros.methods.control.contract import Reference, Response, per_joint
 from mbd_ros.methods.control.efforts import MobilityFactor
 
-# ---- sliding ----------------------------------------------------------------------------------
-# The sliding variable, and the effect of a wrong model on it.
+ReachingName = Literal["constant", "exponential", "power_rate"]
+LAWS: tuple[ReachingName, ...] = get_args(ReachingName)
+_SAMPLED = 1.3  # for masses wrong by 30 %
+_NO_LAYER = 1.0e-300  # a layer without effect: s / _NO_LAYER neither overflows nor divides zeros
 
 
 def sliding_variable(r: Response, ref: Reference, bandwidth: Array) -> tuple[Array, Array]:
@@ -33,52 +37,6 @@ def sliding_variable(r: Response, ref: Reference, bandwidth: Array) -> tuple[Arr
     """
     rate = r.v - ref.v
     return rate + bandwidth * (r.q - ref.q), ref.a - bandwidth * rate
-
-
-class Mismatch(NamedTuple):
-    """The motion s' = -rho(s) under a wrong model and a disturbance.
-
-        s' = disturbance - effectiveness rho(s)
-
-    Attributes:
-        disturbance: [rad/s^2 or m/s^2], shape (n,).
-        effectiveness: The identity for the true model, shape (n, n).
-    """
-
-    disturbance: Array
-    effectiveness: Array
-
-
-def mismatch(truth: Response, model: Response, a_keep: Array, added: Array) -> Mismatch:
-    """How a control with the equivalent effort of a model acts on the true joints.
-
-    With tau = A_m^-1 (a_keep - a_free_m - rho) and a = a_free + A (tau + added),
-
-        effectiveness = A A_m^-1
-        disturbance = effectiveness (a_keep - a_free_m) + a_free + A added - a_keep
-
-    Args:
-        truth: Response of the true joints.
-        model: Response in the controller's model, with a regular mobility.
-        a_keep: Accelerations that keep s, see `sliding_variable`, shape (n,).
-        added: Efforts that the controller does not know of [N·m or N], shape (n,).
-
-    Source: V. Utkin, J. Guldner, J. Shi, Sliding Mode Control in Electro-Mechanical Systems,
-        2nd ed., 2009, sec. 2.3 (equivalent control).
-    """
-    effectiveness = MobilityFactor(model.mobility).solve(truth.mobility).T  # both symmetric
-    reached = effectiveness.dot(a_keep - model.a_free) + truth.a_free
-    return Mismatch(reached + truth.mobility.dot(added) - a_keep, effectiveness)
-
-
-# ---- reaching laws ----------------------------------------------------------------------------
-# Reaching laws of sliding mode control: how fast s is driven to zero.
-
-
-ReachingName = Literal["constant", "exponential", "power_rate"]
-LAWS: tuple[ReachingName, ...] = get_args(ReachingName)
-_SAMPLED = 1.3  # for masses wrong by 30 %
-_NO_LAYER = 1.0e-300  # a layer without effect: s / _NO_LAYER neither overflows nor divides zeros
 
 
 class ReachingLaw:
@@ -169,10 +127,6 @@ class ReachingLaw:
         return np.where(demand <= edge, inside, outside)
 
 
-# ---- super twisting ---------------------------------------------------------------------------
-# The super-twisting algorithm and an upper bound of its time.
-
-
 def super_twisting(s: Array, k1: Array | float, k2: Array | float) -> tuple[Array, Array]:
     """Continuous push and rate of the integral that drive s and s' to zero in finite time.
 
@@ -246,3 +200,39 @@ def _eigenvalues(a: Array, b: Array, c: Array) -> tuple[Array, Array]:
     middle = 0.5 * (a + c)
     largest = middle + np.hypot(0.5 * (a - c), b)
     return (a * c - b * b) / largest, largest
+
+
+def mismatch(truth: Response, model: Response, a_keep: Array, added: Array) -> Mismatch:
+    """How a control with the equivalent effort of a model acts on the true joints.
+
+    With tau = A_m^-1 (a_keep - a_free_m - rho) and a = a_free + A (tau + added),
+
+        effectiveness = A A_m^-1
+        disturbance = effectiveness (a_keep - a_free_m) + a_free + A added - a_keep
+
+    Args:
+        truth: Response of the true joints.
+        model: Response in the controller's model, with a regular mobility.
+        a_keep: Accelerations that keep s, see `sliding_variable`, shape (n,).
+        added: Efforts that the controller does not know of [N·m or N], shape (n,).
+
+    Source: V. Utkin, J. Guldner, J. Shi, Sliding Mode Control in Electro-Mechanical Systems,
+        2nd ed., 2009, sec. 2.3 (equivalent control).
+    """
+    effectiveness = MobilityFactor(model.mobility).solve(truth.mobility).T  # both symmetric
+    reached = effectiveness.dot(a_keep - model.a_free) + truth.a_free
+    return Mismatch(reached + truth.mobility.dot(added) - a_keep, effectiveness)
+
+
+class Mismatch(NamedTuple):
+    """The motion s' = -rho(s) under a wrong model and a disturbance.
+
+        s' = disturbance - effectiveness rho(s)
+
+    Attributes:
+        disturbance: [rad/s^2 or m/s^2], shape (n,).
+        effectiveness: The identity for the true model, shape (n, n).
+    """
+
+    disturbance: Array
+    effectiveness: Array

@@ -1,5 +1,7 @@
 """A motion to follow, with the gains that lead back to it, and its linearization."""
 
+from __future__ import annotations
+
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,29 +11,9 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SINGULAR
 from mbd_ros.errors import ModelError
 
-# ---- tracking plan ----------------------------------------------------------------------------
-# A motion to follow, with the gains that lead back to it.
-
-
 _UPRIGHT = 1.0e-9  # share of the largest cost that a cost may be below 0, by rounding
-
-
-class Tracked(NamedTuple):
-    """A plan at one time.
-
-    Attributes:
-        q: Of the independent joints [rad or m], shape (d,).
-        v: Their velocities [rad/s or m/s], shape (d,).
-        u: Efforts of the inputs [N·m or N], shape (k,).
-        gain: Effort per deviation of positions, then of velocities, shape (k, 2 d).
-        cost: Cost to go: S, symmetric, shape (2 d, 2 d).
-    """
-
-    q: Array
-    v: Array
-    u: Array
-    gain: Array
-    cost: Array
+_STEP = 1.0e-6  # of a central difference of J v: errors of its square and of rounding over it
+_FLAT = 1.0e-4  # least singular value of a choice of coordinates, 0 at a toggle
 
 
 class TrackingPlan:
@@ -99,7 +81,7 @@ class TrackingPlan:
         u, gain, cost = ((1.0 - s) * a[i] + s * a[i + 1] for a in (self.u, self.gain, self.cost))
         return Tracked(q, v, u, gain, cost)
 
-    def with_level(self, level: float) -> "TrackingPlan":
+    def with_level(self, level: float) -> TrackingPlan:
         """The same plan with another tube."""
         given = self.times, self.q, self.v, self.u, self.gain, self.cost
         return TrackingPlan(self.joints, self.inputs, *given, level)
@@ -132,12 +114,22 @@ class TrackingPlan:
             raise ModelError("plan: cost must be positive")
 
 
-# ---- independent slopes -----------------------------------------------------------------------
-# Linear motion beside a motion, of as many coordinates as there are freedoms.
+class Tracked(NamedTuple):
+    """A plan at one time.
 
+    Attributes:
+        q: Of the independent joints [rad or m], shape (d,).
+        v: Their velocities [rad/s or m/s], shape (d,).
+        u: Efforts of the inputs [N·m or N], shape (k,).
+        gain: Effort per deviation of positions, then of velocities, shape (k, 2 d).
+        cost: Cost to go: S, symmetric, shape (2 d, 2 d).
+    """
 
-_STEP = 1.0e-6  # of a central difference of J v: errors of its square and of rounding over it
-_FLAT = 1.0e-4  # least singular value of a choice of coordinates, 0 at a toggle
+    q: Array
+    v: Array
+    u: Array
+    gain: Array
+    cost: Array
 
 
 class IndependentSlopes:

@@ -6,6 +6,8 @@ Processes are mechanisms (`mechanism_process`) or matrices (`LinearProcess`). x 
 process takes for a state; steps d of the tangent are vectors.
 """
 
+from __future__ import annotations
+
 import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol
@@ -21,65 +23,8 @@ from mbd_ros.methods.estimation.kalman_update import Bools, Innovation, updated
 from mbd_ros.methods.estimation.state_tangent import StateTangent
 from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
 
-# ---- process ----------------------------------------------------------------------------------
-# What an estimator knows of a process: how it goes on, and what is seen of it.
-
-
 _ASYMMETRY = 1.0e-12  # of a covariance, relative
-
-
-class Transition(NamedTuple):
-    """One interval of a process.
-
-    Attributes:
-        x: State at its end, without disturbance.
-        F: Derivative of it by the state at the start, shape (n, n), both in their tangents.
-        G: Derivative of it by the disturbance w, shape (n, nw).
-        Q: Covariance of w, shape (nw, nw).
-    """
-
-    x: Any
-    F: Array
-    G: Array
-    Q: Array
-
-    @property
-    def noise(self) -> Array:
-        """Covariance that the interval adds, shape (n, n)."""
-        return self.G.dot(self.Q).dot(self.G.T)
-
-
-class Observation(NamedTuple):
-    """What should be measured at a state.
-
-    Attributes:
-        y: Without noise, shape (m,).
-        H: Derivative by a step of the tangent, shape (m, n).
-        R: Covariance of the noise, shape (m, m).
-    """
-
-    y: Array
-    H: Array
-    R: Array
-
-
-class Bounded(NamedTuple):
-    """What has bounds at a state.
-
-    Attributes:
-        values: Shape (b,).
-        by: Derivative by a step of the tangent, shape (b, n).
-        lower: Smallest accepted values, shape (b,).
-        upper: Largest accepted values, shape (b,).
-        may_be_wrong: Which bounds give way to measurements that contradict them beyond doubt,
-            shape (b,); None for none.
-    """
-
-    values: Array
-    by: Array
-    lower: Array
-    upper: Array
-    may_be_wrong: Bools | None = None
+_STEP = 1.0e-6  # of differences [m, rad and their rates]
 
 
 class Process(Protocol):
@@ -221,12 +166,6 @@ class LinearProcess:
         return Bounded(x[self._has_bound], self._selected, *self._bounds)
 
 
-def moved(process: Process, P: Array, x0: Any, x1: Any) -> Array:
-    """A covariance in the tangent of x1 that was found in that of a state x0 beside it."""
-    turn = process.turned(x0, x1)
-    return P if turn is None else turn.dot(P).dot(turn.T)
-
-
 def refuse_no_covariance(name: str, matrix: Array) -> None:
     """Refuse what is no covariance.
 
@@ -242,42 +181,58 @@ def refuse_no_covariance(name: str, matrix: Array) -> None:
         raise ModelError(f"{name} is not positive semidefinite")
 
 
-# ---- estimator --------------------------------------------------------------------------------
-# Contract of estimators: from what is measured to what is believed.
-
-
-class Measurement(NamedTuple):
-    """What sensors said at one time.
+class Transition(NamedTuple):
+    """One interval of a process.
 
     Attributes:
-        t: Time [s].
-        values: Of all sensors of the process, NaN where nothing came, shape (m,).
-        used: Which of them count, shape (m,); None for all that are finite.
+        x: State at its end, without disturbance.
+        F: Derivative of it by the state at the start, shape (n, n), both in their tangents.
+        G: Derivative of it by the disturbance w, shape (n, nw).
+        Q: Covariance of w, shape (nw, nw).
     """
 
-    t: float
-    values: Array
-    used: Bools | None = None
-
-
-class Belief(NamedTuple):
-    """What an estimator believes.
-
-    Attributes:
-        t: Time [s].
-        x: State of the process.
-        P: Covariance of the step of its tangent from x to the true state, shape (n, n).
-        innovation: Of the newest measurement; None before the first one.
-        is_trusted: Whether the estimator stands by it; why not is in `remark`.
-        remark: Empty while it is trusted.
-    """
-
-    t: float
     x: Any
-    P: Array
-    innovation: Innovation | None = None
-    is_trusted: bool = True
-    remark: str = ""
+    F: Array
+    G: Array
+    Q: Array
+
+    @property
+    def noise(self) -> Array:
+        """Covariance that the interval adds, shape (n, n)."""
+        return self.G.dot(self.Q).dot(self.G.T)
+
+
+class Observation(NamedTuple):
+    """What should be measured at a state.
+
+    Attributes:
+        y: Without noise, shape (m,).
+        H: Derivative by a step of the tangent, shape (m, n).
+        R: Covariance of the noise, shape (m, m).
+    """
+
+    y: Array
+    H: Array
+    R: Array
+
+
+class Bounded(NamedTuple):
+    """What has bounds at a state.
+
+    Attributes:
+        values: Shape (b,).
+        by: Derivative by a step of the tangent, shape (b, n).
+        lower: Smallest accepted values, shape (b,).
+        upper: Largest accepted values, shape (b,).
+        may_be_wrong: Which bounds give way to measurements that contradict them beyond doubt,
+            shape (b,); None for none.
+    """
+
+    values: Array
+    by: Array
+    lower: Array
+    upper: Array
+    may_be_wrong: Bools | None = None
 
 
 class Estimator:
@@ -338,11 +293,38 @@ class Estimator:
         self.belief = memory
 
 
-# ---- sensor set -------------------------------------------------------------------------------
-# All sensors of an estimator at once: what they should see, and how that changes.
+class Belief(NamedTuple):
+    """What an estimator believes.
+
+    Attributes:
+        t: Time [s].
+        x: State of the process.
+        P: Covariance of the step of its tangent from x to the true state, shape (n, n).
+        innovation: Of the newest measurement; None before the first one.
+        is_trusted: Whether the estimator stands by it; why not is in `remark`.
+        remark: Empty while it is trusted.
+    """
+
+    t: float
+    x: Any
+    P: Array
+    innovation: Innovation | None = None
+    is_trusted: bool = True
+    remark: str = ""
 
 
-_STEP = 1.0e-6  # of differences [m, rad and their rates]
+class Measurement(NamedTuple):
+    """What sensors said at one time.
+
+    Attributes:
+        t: Time [s].
+        values: Of all sensors of the process, NaN where nothing came, shape (m,).
+        used: Which of them count, shape (m,); None for all that are finite.
+    """
+
+    t: float
+    values: Array
+    used: Bools | None = None
 
 
 class SensorSet:
@@ -494,3 +476,9 @@ class SensorSet:
 def _asked(sensor: Sensor) -> Reads:
     """What a sensor and its Jacobian read of k."""
     return Reads(max(sensor.reads, Reads.JACOBIAN)) if sensor.reads else Reads.NOTHING
+
+
+def moved(process: Process, P: Array, x0: Any, x1: Any) -> Array:
+    """A covariance in the tangent of x1 that was found in that of a state x0 beside it."""
+    turn = process.turned(x0, x1)
+    return P if turn is None else turn.dot(P).dot(turn.T)

@@ -7,6 +7,8 @@ couplings, constraints and contacts of unknown force, and R those of free bases.
 the bases is as small as it can be; then come the least costly u, then the smallest lam.
 """
 
+from __future__ import annotations
+
 from collections.abc import Callable, Collection, Sequence
 from functools import partial
 from typing import NamedTuple
@@ -40,116 +42,8 @@ from mbd_ros.methods.inverse_dynamics.loop_motion import LoopBalance, LoopMotion
 from mbd_ros.methods.inverse_dynamics.standing import Mask as StandingMask
 from mbd_ros.methods.inverse_dynamics.standing import Nearness, Standing
 
-# ---- closed loop ------------------------------------------------------------------------------
-# Motion of a mechanism -> what its actuators and its constraints exert.
-
-
-# Whether a motion is on the rows that it must keep.
-
 _OFF = 1.0e-6  # of the terms that should cancel
-
-
-def check_closed(balance: LoopBalance, x: State) -> None:
-    """Check the position.
-
-    Args:
-        balance: The rows, placed at the state.
-        x: State of all joints.
-
-    Raises:
-        SolveError: Names the row that is open.
-    """
-    g = np.abs(balance.residual(x))
-    if g.size and not g.max() <= ASSEMBLED:
-        row = balance.constraints.rows[int(np.argmax(g))].name
-        raise SolveError(
-            f"the motion is not consistent: row {row} is {g.max():.3g} m or rad open; make "
-            "it consistent first"
-        )
-
-
-def check_rates(
-    balance: LoopBalance,
-    split: ForceSplit,
-    inside: NDArray[np.intp],
-    rows: tuple[Array, Array],
-    x: State,
-    a: Array,
-) -> None:
-    """Check velocity and acceleration, toggles apart.
-
-    Args:
-        balance: The rows, placed at the state.
-        split: Factors of some rows.
-        inside: Which rows these are.
-        rows: J and drift of all rows, (m, nv) and (m,).
-        x: State of all joints.
-        a: Their acceleration [rad/s^2 or m/s^2], shape (nv,).
-
-    Raises:
-        SolveError: Names the row that either leaves.
-    """
-    held, (J, drift) = balance.is_held, rows
-    if not held.any():
-        return
-    for what, of, fixed in (("velocity", x.v, balance.rate(x)), ("acceleration", a, drift)):
-        off = np.where(held, J.dot(of) + fixed, 0.0)
-        terms = np.where(held, np.abs(J).dot(np.abs(of)) + np.abs(fixed), 0.0)
-        if not split.violation(off[inside], terms[inside]) <= _OFF:
-            worst = int(np.argmax(np.abs(off)))
-            raise SolveError(
-                f"the motion is not consistent: its {what} leaves row "
-                f"{balance.constraints.rows[worst].name} at {abs(off[worst]):.3g}; make it "
-                "consistent first"
-            )
-
-
-# The equation of inverse dynamics at one state, and whether that is a toggle.
-
 _ASIDE = 0.1  # of a neighbour that tells whether a mechanism is at a toggle [rad or m]
-
-
-class Problem(NamedTuple):
-    """The equation at one state.
-
-    Attributes:
-        split: Its factors.
-        b: Force on all joints that is to be split, shape (nv,).
-        scale: Size of the terms in it, in the metric of the split.
-        asked: Which unknowns the split has; the motion shows the others, shape (n,).
-        known: What those are: efforts, then multipliers, targets of the cost in place of those
-            that are asked for, shape (na + m,).
-    """
-
-    split: ForceSplit
-    b: Array
-    scale: float
-    asked: Mask
-    known: Array
-
-
-def is_at_toggle(
-    loops: LoopMotion, x: State, split: ForceSplit, beside: Callable[[State], ForceSplit]
-) -> bool:
-    """Whether neighbours on the constraints have fewer motions.
-
-    Args:
-        loops: The mechanism.
-        x: State on the constraints.
-        split: Factors there.
-        beside: Gives the factors at another state on the constraints.
-    """
-    for motion in split.motions().T:
-        q = loops.moved(x.q, _ASIDE / np.abs(motion).max() * motion)
-        try:
-            there = State(x.t, loops.start(x._replace(q=q)), 0.0 * x.v)
-        except SolveError:
-            continue
-        if beside(there).freedom < split.freedom:
-            return True
-    return False
-
-
 _LEFT = 1.0e-6  # of the forces at work: what may stay without an actuator
 _ZERO = 1.0e-9  # the same where nothing moves and nothing acts
 _NOBODY = np.zeros(0, np.bool_)
@@ -368,8 +262,23 @@ class ClosedLoopInverseDynamics:
         return self._split(x, self._balance.rows(x)[0], asked)
 
 
-# ---- observed loops ---------------------------------------------------------------------------
-# Independent joints of a mechanism with loops -> torques, as `InverseDynamics` gives them.
+class Problem(NamedTuple):
+    """The equation at one state.
+
+    Attributes:
+        split: Its factors.
+        b: Force on all joints that is to be split, shape (nv,).
+        scale: Size of the terms in it, in the metric of the split.
+        asked: Which unknowns the split has; the motion shows the others, shape (n,).
+        known: What those are: efforts, then multipliers, targets of the cost in place of those
+            that are asked for, shape (na + m,).
+    """
+
+    split: ForceSplit
+    b: Array
+    scale: float
+    asked: Mask
+    known: Array
 
 
 class ObservedLoops:
@@ -468,3 +377,80 @@ class ObservedLoops:
         self._k.refresh(x.q, x.v, Reads.POSITION)
         gap = self.inverse.constraints.residual(self._k, x)
         return np.where(self._is_kept, gap, 0.0)
+
+
+def check_closed(balance: LoopBalance, x: State) -> None:
+    """Check the position.
+
+    Args:
+        balance: The rows, placed at the state.
+        x: State of all joints.
+
+    Raises:
+        SolveError: Names the row that is open.
+    """
+    g = np.abs(balance.residual(x))
+    if g.size and not g.max() <= ASSEMBLED:
+        row = balance.constraints.rows[int(np.argmax(g))].name
+        raise SolveError(
+            f"the motion is not consistent: row {row} is {g.max():.3g} m or rad open; make "
+            "it consistent first"
+        )
+
+
+def check_rates(
+    balance: LoopBalance,
+    split: ForceSplit,
+    inside: NDArray[np.intp],
+    rows: tuple[Array, Array],
+    x: State,
+    a: Array,
+) -> None:
+    """Check velocity and acceleration, toggles apart.
+
+    Args:
+        balance: The rows, placed at the state.
+        split: Factors of some rows.
+        inside: Which rows these are.
+        rows: J and drift of all rows, (m, nv) and (m,).
+        x: State of all joints.
+        a: Their acceleration [rad/s^2 or m/s^2], shape (nv,).
+
+    Raises:
+        SolveError: Names the row that either leaves.
+    """
+    held, (J, drift) = balance.is_held, rows
+    if not held.any():
+        return
+    for what, of, fixed in (("velocity", x.v, balance.rate(x)), ("acceleration", a, drift)):
+        off = np.where(held, J.dot(of) + fixed, 0.0)
+        terms = np.where(held, np.abs(J).dot(np.abs(of)) + np.abs(fixed), 0.0)
+        if not split.violation(off[inside], terms[inside]) <= _OFF:
+            worst = int(np.argmax(np.abs(off)))
+            raise SolveError(
+                f"the motion is not consistent: its {what} leaves row "
+                f"{balance.constraints.rows[worst].name} at {abs(off[worst]):.3g}; make it "
+                "consistent first"
+            )
+
+
+def is_at_toggle(
+    loops: LoopMotion, x: State, split: ForceSplit, beside: Callable[[State], ForceSplit]
+) -> bool:
+    """Whether neighbours on the constraints have fewer motions.
+
+    Args:
+        loops: The mechanism.
+        x: State on the constraints.
+        split: Factors there.
+        beside: Gives the factors at another state on the constraints.
+    """
+    for motion in split.motions().T:
+        q = loops.moved(x.q, _ASIDE / np.abs(motion).max() * motion)
+        try:
+            there = State(x.t, loops.start(x._replace(q=q)), 0.0 * x.v)
+        except SolveError:
+            continue
+        if beside(there).freedom < split.freedom:
+            return True
+    return False

@@ -7,6 +7,8 @@ Z' E e = Z' b. Source: Y. Nakamura, M. Ghodoussi, IEEE Trans. Robotics and Autom
 294, doi:10.1109/70.34765; there with Z from the derivative of the joint positions.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -18,29 +20,11 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import SINGULAR
 from mbd_ros.errors import SolveError
 
-# ---- force split ------------------------------------------------------------------------------
-# A force on all joints split into efforts of actuators and multipliers of constraints.
-
-
 _NOTHING = 1.0e-3  # norm of rates below which they count as rest
 _TAKES_PART = 1.0e-6  # share of an unknown in the null space; rounding leaves 1e-9 there
-
-
-class Split(NamedTuple):
-    """Efforts and multipliers of a force on all joints.
-
-    Attributes:
-        efforts: e [N·m or N], shape (ne,).
-        multipliers: lam, shape (m,).
-        left: The rest, which neither can exert, as an acceleration of the motions that the rows
-            allow: M^-1 (b - E e - J' lam), shape (nv,).
-        share: Norm of that in the mass metric, the square root of a work per mass.
-    """
-
-    efforts: Array
-    multipliers: Array
-    left: Array
-    share: float
+_FREE = -np.inf, np.inf
+_KEPT = 1.0e-9  # of the largest force, by which limits of contacts may be passed
+_WEIGHTS = 1.0, 1.0e-3, 1.0e-6, 1.0e-8  # of what comes first, and then
 
 
 class ForceSplit:
@@ -129,7 +113,7 @@ class ForceSplit:
         forces: Array = np.linalg.solve(T, shortest)
         return forces
 
-    def beside(self, R: Array) -> tuple["ForceSplit", Array]:
+    def beside(self, R: Array) -> tuple[ForceSplit, Array]:
         """A split with forces along R before the efforts, and the T of r = T^-1 (their values).
 
         The values have the norm of r in the metric M^-1.
@@ -180,11 +164,6 @@ class ForceSplit:
         return e, self._rows.solve(rest)
 
 
-def rank_of(sizes: Array) -> int:
-    """How many singular values of scaled columns are none that a toggle or rounding left."""
-    return int(np.count_nonzero(sizes > SINGULAR * max(1.0, sizes.max(initial=0.0))))
-
-
 class _Inverse:
     """Pseudoinverse of a matrix A, given as W = A scale, with the null space of A.
 
@@ -217,40 +196,26 @@ class _Inverse:
         return float(np.linalg.norm(self._scale * r))
 
 
-# ---- bounded split ----------------------------------------------------------------------------
-# Efforts and multipliers within bounds and cones, where the smallest ones are beyond them.
+def rank_of(sizes: Array) -> int:
+    """How many singular values of scaled columns are none that a toggle or rounding left."""
+    return int(np.count_nonzero(sizes > SINGULAR * max(1.0, sizes.max(initial=0.0))))
 
 
-_FREE = -np.inf, np.inf
-_KEPT = 1.0e-9  # of the largest force, by which limits of contacts may be passed
-_WEIGHTS = 1.0, 1.0e-3, 1.0e-6, 1.0e-8  # of what comes first, and then
-
-
-class Wish(NamedTuple):
-    """Numbers S y that come as near to a target as they can, before anything is small.
+class Split(NamedTuple):
+    """Efforts and multipliers of a force on all joints.
 
     Attributes:
-        S: Shape (k, n).
-        target: Shape (k,).
+        efforts: e [N·m or N], shape (ne,).
+        multipliers: lam, shape (m,).
+        left: The rest, which neither can exert, as an acceleration of the motions that the rows
+            allow: M^-1 (b - E e - J' lam), shape (nv,).
+        share: Norm of that in the mass metric, the square root of a work per mass.
     """
 
-    S: Array
-    target: Array
-
-
-class Within(NamedTuple):
-    """Forces that are as small as bounds let them be.
-
-    Attributes:
-        split: Efforts and multipliers.
-        residual: Forces of free bases, shape (k,).
-        is_within: Whether the bounds are kept; otherwise they cannot be, and the excess is the
-            least.
-    """
-
-    split: Split
-    residual: Array
-    is_within: bool
+    efforts: Array
+    multipliers: Array
+    left: Array
+    share: float
 
 
 def within_bounds(
@@ -283,6 +248,31 @@ def within_bounds(
     return Within(split.left(b - R.dot(r), least.z[:ne], least.z[ne:]), r, least.is_within)
 
 
+def _least(
+    z: Array,
+    N: Array,
+    groups: Sequence[slice],
+    limits: Limits,
+    wish: Wish | None = None,
+    first: int = 0,
+) -> Least:
+    """Least norms within limits; a wish comes after the first group, if that is of bases."""
+    if wish is None and not len(limits.mu):
+        return least_in_bounds(z, N, groups, limits.lower, limits.upper)
+    every, nothing = np.eye(len(z)), np.zeros(len(z))
+    rows = [(every[group], nothing[group]) for group in groups]
+    if wish is not None:
+        rows.insert(1 if first else 0, wish)
+    weighted = zip(_WEIGHTS, rows, strict=False)
+    A, c = zip(*((weight * A, weight * c) for weight, (A, c) in weighted), strict=True)
+    return Least(*least_in_cones(z, N, np.concatenate(A), np.concatenate(c), limits))
+
+
+def _directions(split: ForceSplit) -> Array:
+    """Orthonormal directions of what exerts nothing."""
+    return np.asarray(np.linalg.qr(split.null_basis())[0], dtype=np.float64)
+
+
 def _with_bases(
     split: ForceSplit,
     y: Array,
@@ -308,26 +298,28 @@ def _with_bases(
     return least._replace(z=least.z[k:]), residual
 
 
-def _least(
-    z: Array,
-    N: Array,
-    groups: Sequence[slice],
-    limits: Limits,
-    wish: Wish | None = None,
-    first: int = 0,
-) -> Least:
-    """Least norms within limits; a wish comes after the first group, if that is of bases."""
-    if wish is None and not len(limits.mu):
-        return least_in_bounds(z, N, groups, limits.lower, limits.upper)
-    every, nothing = np.eye(len(z)), np.zeros(len(z))
-    rows = [(every[group], nothing[group]) for group in groups]
-    if wish is not None:
-        rows.insert(1 if first else 0, wish)
-    weighted = zip(_WEIGHTS, rows, strict=False)
-    A, c = zip(*((weight * A, weight * c) for weight, (A, c) in weighted), strict=True)
-    return Least(*least_in_cones(z, N, np.concatenate(A), np.concatenate(c), limits))
+class Within(NamedTuple):
+    """Forces that are as small as bounds let them be.
+
+    Attributes:
+        split: Efforts and multipliers.
+        residual: Forces of free bases, shape (k,).
+        is_within: Whether the bounds are kept; otherwise they cannot be, and the excess is the
+            least.
+    """
+
+    split: Split
+    residual: Array
+    is_within: bool
 
 
-def _directions(split: ForceSplit) -> Array:
-    """Orthonormal directions of what exerts nothing."""
-    return np.asarray(np.linalg.qr(split.null_basis())[0], dtype=np.float64)
+class Wish(NamedTuple):
+    """Numbers S y that come as near to a target as they can, before anything is small.
+
+    Attributes:
+        S: Shape (k, n).
+        target: Shape (k,).
+    """
+
+    S: Array
+    target: Array

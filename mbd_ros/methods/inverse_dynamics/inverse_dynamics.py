@@ -5,6 +5,8 @@
 with w the external wrenches, f the force terms of the scene and M_f the inertia that some add.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import partial
 from typing import Any, NamedTuple, Protocol
@@ -22,217 +24,15 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError
 
-# ---- torques ----------------------------------------------------------------------------------
-# Results of inverse dynamics, and the solvers that are asked sample by sample.
-
-
 NO_BASIS: Array = np.zeros((0, 0))
+
+
 NO_BASIS.setflags(write=False)
-
-
-class Torques(NamedTuple):
-    """Torques and multipliers that explain a motion, with loops or without.
-
-    Attributes:
-        tau: Force of every independent coordinate [N·m or N], shape (nv_y,) or (n, nv_y); of
-            `ClosedLoopInverseDynamics` the inputs of its `efforts`, shape (na,).
-        multipliers: Force of the tendon, cam or gear of every dependent joint on that joint
-            [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
-            pushes the joint in its positive direction. On its parent the coupling exerts -f' times
-            as much. With loops one a row of the constraints; that of a drive is its effort.
-        rank: How many independent forces efforts and multipliers exert together.
-        residual: What a free base would need beside them, since nothing carries it: force [N],
-            then moment [N·m] on it, in its axes, shape (6,) or (n, 6); six for each free base, 0
-            where something carries it; size 0 without a free base.
-        null_space: Dimension of the efforts and multipliers that together exert nothing, bounds
-            left aside; 0 without loops.
-        undetermined: `<joint>.effort` and names of rows that take part in it.
-        condition: Beyond 1e6 the mechanism is near a toggle and the result unreliable; 1
-            without loops.
-        null_basis: Entries of tau, then of multipliers, that together exert nothing, one
-            combination a column, shape (.., null_space); size 0 without loops.
-        carried: The same as the residual for joints that stand for a free base [N·m or N].
-    """
-
-    tau: Array
-    multipliers: Array
-    rank: int
-    residual: Array = NONE
-    null_space: int = 0
-    undetermined: tuple[str, ...] = ()
-    condition: float = 1.0
-    null_basis: Array = NO_BASIS
-    carried: Array = NONE
-
-
-class SampleSolver(Protocol):
-    """Inverse dynamics of the independent joints, sample by sample, with loops or without.
-
-    Attributes:
-        couplings: The dependent joints.
-        configuration: Configuration of the last sample, shape (nq,).
-        rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
-        needed: Joints that must be measured; loops give the others.
-        moved: Largest move of a joint of the last sample onto the constraints [rad or m].
-        gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
-            for couplings.
-    """
-
-    couplings: Couplings
-    configuration: Array
-    rows: tuple[str, ...]
-    needed: tuple[str, ...]
-    moved: float
-    gap: Array
-
-    def solve(
-        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
-    ) -> Torques:
-        """Torques of one sample.
-
-        Args:
-            position: y [rad or m], shape (ny,).
-            velocity: y' [rad/s or m/s], shape (nv_y,).
-            acceleration: y'' [rad/s^2 or m/s^2], shape (nv_y,).
-            wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
-        """
-        ...
-
-    def doubts(self) -> list[str]:
-        """What is to be said about force terms at the last sample of `solve`."""
-        ...
-
-
-# ---- batch loads ------------------------------------------------------------------------------
-# External loads of many samples at once: their generalized forces, sum J' w.
 
 
 _BLOCK = 256  # samples whose Jacobians stay in the cache
 _Poses = dict[int, tuple[Array, Array]]  # joint -> rotations and places in the world
-
-
-class BatchLoads:
-    """Generalized forces of measured loads on the bodies of a robot.
-
-    A wrench about the origin of the world, in its axes, does the work w . J dq with the columns of
-    Pinocchio's world Jacobian: those of the joints that carry its body count.
-
-    Args:
-        robot: The robot.
-        wrenches: External loads, in the order in which `forces` takes their values.
-    """
-
-    def __init__(self, robot: Robot, wrenches: Sequence[ExternalWrench]) -> None:
-        self._model, self._data = robot.model, pin.Data(robot.model)
-        self._loads = tuple(wrenches)
-        places = robot.places.points
-        self._abouts = [places[load.about.number] for load in self._loads]
-        self._moving = sorted({place.joint for place in self._abouts} - {0})
-        carriers = [places[load.carrier.number].joint for load in self._loads]
-        self._columns = [_columns(robot.model, joint) for joint in carriers]
-
-    def forces(self, q: Array, wrenches: Sequence[Array]) -> Array:
-        """Sum of J' w.
-
-        Args:
-            q: Configurations, shape (nq, n).
-            wrenches: One (n, 6) array for every load: force [N] then torque [N·m].
-
-        Returns:
-            Shape (nv, n).
-
-        Raises:
-            ModelError: Another number of values.
-        """
-        if len(wrenches) != len(self._loads):
-            raise ModelError(f"{len(wrenches)} wrenches given, the scene has {len(self._loads)}")
-        total: Array = np.zeros((self._model.nv, q.shape[1]))
-        for start in range(0, q.shape[1], _BLOCK):
-            rows = slice(start, start + _BLOCK)
-            jacobians, poses = self._kinematics(q[:, rows])
-            for k, values in enumerate(wrenches):
-                world = self._in_world(k, values[rows], poses)
-                part = np.einsum("ij,ijk->ki", world, jacobians)
-                total[self._columns[k], rows] += part[self._columns[k]]
-        return total
-
-    def _kinematics(self, q: Array) -> tuple[Array, _Poses]:
-        """World Jacobians, shape (n, 6, nv), and poses of the joints that loads are seen from."""
-        n, data = q.shape[1], self._data
-        jacobians = np.empty((n, 6, self._model.nv))
-        poses = {joint: (np.empty((n, 3, 3)), np.empty((n, 3))) for joint in self._moving}
-        jacobian, refresh = data.J, partial(pin.computeJointJacobians, self._model, data)
-        for i, row in enumerate(np.ascontiguousarray(q.T)):
-            refresh(row)
-            jacobians[i] = jacobian
-            for joint, (rotations, places) in poses.items():
-                pose = data.oMi[joint]
-                rotations[i], places[i] = pose.rotation, pose.translation
-        return jacobians, poses
-
-    def _in_world(self, k: int, values: Array, poses: _Poses) -> Array:
-        """Values of a load about the origin of the world, 0 where its force is too small."""
-        load, about = self._loads[k], self._abouts[k]
-        if load.threshold > 0.0:
-            acts = np.linalg.norm(values[:, :3], axis=1) > load.threshold
-            values = np.where(acts[:, None], values, 0.0)
-        values = _moved(values, about.at.rotation, about.at.translation)
-        return _moved(values, *poses[about.joint]) if about.joint else values
-
-
-def _moved(values: Array, rotation: Array, place: Array) -> Array:
-    """Wrenches in the axes and about the origin that these place is seen from, shape (n, 6)."""
-    force, torque = (
-        np.einsum("...ij,...j->...i", rotation, part) for part in (values[:, :3], values[:, 3:])
-    )
-    return np.hstack([force, torque + np.cross(place, force)])
-
-
-def _columns(model: Any, joint: int) -> NDArray[np.intp]:
-    """Where in v the joints stand that move a joint."""
-    moved = [model.joints[j] for j in model.supports[joint] if j]
-    return np.array([i for one in moved for i in range(one.idx_v, one.idx_v + one.nv)], np.intp)
-
-
-# ---- inverse dynamics -------------------------------------------------------------------------
-# Motion and external loads -> torques of the independent coordinates and coupling multipliers.
-
-
 _CHUNK = 2048  # samples
-
-
-class TorqueComponents(NamedTuple):
-    """Torques of the independent coordinates by cause; their sum is `Torques.tau`.
-
-    Attributes:
-        gravity: G' g(q).
-        coriolis: G' (C(q, v) v + M dG/dt y'): all terms quadratic in velocity.
-        inertial: G' M G y''.
-        external: -G' (sum J' w + sum f): the share of the environment and the force terms.
-    """
-
-    gravity: Array
-    coriolis: Array
-    inertial: Array
-    external: Array
-
-
-class Expanded(NamedTuple):
-    """One sample of all joints; all but the torques are live views.
-
-    Attributes:
-        tau: As of `Torques`, shape (nv_y,).
-        q: Configuration, shape (nq,).
-        v: Velocity, shape (nv,).
-        a: Acceleration, shape (nv,).
-        slopes: Of the couplings there, see `Couplings.expand`.
-    """
-
-    tau: Array
-    q: Array
-    v: Array
-    a: Array
-    slopes: Slopes
 
 
 class InverseDynamics:
@@ -426,3 +226,193 @@ class InverseDynamics:
             for term in self._heavy:
                 tau += term.inertia(self._k, x).dot(self._a)
         return tau
+
+
+class Expanded(NamedTuple):
+    """One sample of all joints; all but the torques are live views.
+
+    Attributes:
+        tau: As of `Torques`, shape (nv_y,).
+        q: Configuration, shape (nq,).
+        v: Velocity, shape (nv,).
+        a: Acceleration, shape (nv,).
+        slopes: Of the couplings there, see `Couplings.expand`.
+    """
+
+    tau: Array
+    q: Array
+    v: Array
+    a: Array
+    slopes: Slopes
+
+
+class Torques(NamedTuple):
+    """Torques and multipliers that explain a motion, with loops or without.
+
+    Attributes:
+        tau: Force of every independent coordinate [N·m or N], shape (nv_y,) or (n, nv_y); of
+            `ClosedLoopInverseDynamics` the inputs of its `efforts`, shape (na,).
+        multipliers: Force of the tendon, cam or gear of every dependent joint on that joint
+            [N·m for a revolute joint, N for a prismatic one], shape (n_d,) or (n, n_d). Positive
+            pushes the joint in its positive direction. On its parent the coupling exerts -f' times
+            as much. With loops one a row of the constraints; that of a drive is its effort.
+        rank: How many independent forces efforts and multipliers exert together.
+        residual: What a free base would need beside them, since nothing carries it: force [N],
+            then moment [N·m] on it, in its axes, shape (6,) or (n, 6); six for each free base, 0
+            where something carries it; size 0 without a free base.
+        null_space: Dimension of the efforts and multipliers that together exert nothing, bounds
+            left aside; 0 without loops.
+        undetermined: `<joint>.effort` and names of rows that take part in it.
+        condition: Beyond 1e6 the mechanism is near a toggle and the result unreliable; 1
+            without loops.
+        null_basis: Entries of tau, then of multipliers, that together exert nothing, one
+            combination a column, shape (.., null_space); size 0 without loops.
+        carried: The same as the residual for joints that stand for a free base [N·m or N].
+    """
+
+    tau: Array
+    multipliers: Array
+    rank: int
+    residual: Array = NONE
+    null_space: int = 0
+    undetermined: tuple[str, ...] = ()
+    condition: float = 1.0
+    null_basis: Array = NO_BASIS
+    carried: Array = NONE
+
+
+class SampleSolver(Protocol):
+    """Inverse dynamics of the independent joints, sample by sample, with loops or without.
+
+    Attributes:
+        couplings: The dependent joints.
+        configuration: Configuration of the last sample, shape (nq,).
+        rows: Names of the multipliers: the dependent joints, then the rows of the constraints.
+        needed: Joints that must be measured; loops give the others.
+        moved: Largest move of a joint of the last sample onto the constraints [rad or m].
+        gap: Residual of every row at the last sample as measured, shape (m,); 0 for drives and
+            for couplings.
+    """
+
+    couplings: Couplings
+    configuration: Array
+    rows: tuple[str, ...]
+    needed: tuple[str, ...]
+    moved: float
+    gap: Array
+
+    def solve(
+        self, position: Array, velocity: Array, acceleration: Array, wrenches: Sequence[Array] = ()
+    ) -> Torques:
+        """Torques of one sample.
+
+        Args:
+            position: y [rad or m], shape (ny,).
+            velocity: y' [rad/s or m/s], shape (nv_y,).
+            acceleration: y'' [rad/s^2 or m/s^2], shape (nv_y,).
+            wrenches: One (6,) array [N, N·m] for every load of the scene; none means unloaded.
+        """
+        ...
+
+    def doubts(self) -> list[str]:
+        """What is to be said about force terms at the last sample of `solve`."""
+        ...
+
+
+class TorqueComponents(NamedTuple):
+    """Torques of the independent coordinates by cause; their sum is `Torques.tau`.
+
+    Attributes:
+        gravity: G' g(q).
+        coriolis: G' (C(q, v) v + M dG/dt y'): all terms quadratic in velocity.
+        inertial: G' M G y''.
+        external: -G' (sum J' w + sum f): the share of the environment and the force terms.
+    """
+
+    gravity: Array
+    coriolis: Array
+    inertial: Array
+    external: Array
+
+
+class BatchLoads:
+    """Generalized forces of measured loads, sum J' w, of many samples at once.
+
+    A wrench about the origin of the world, in its axes, does the work w . J dq with the columns of
+    Pinocchio's world Jacobian: those of the joints that carry its body count.
+
+    Args:
+        robot: The robot.
+        wrenches: External loads, in the order in which `forces` takes their values.
+    """
+
+    def __init__(self, robot: Robot, wrenches: Sequence[ExternalWrench]) -> None:
+        self._model, self._data = robot.model, pin.Data(robot.model)
+        self._loads = tuple(wrenches)
+        places = robot.places.points
+        self._abouts = [places[load.about.number] for load in self._loads]
+        self._moving = sorted({place.joint for place in self._abouts} - {0})
+        carriers = [places[load.carrier.number].joint for load in self._loads]
+        self._columns = [_columns(robot.model, joint) for joint in carriers]
+
+    def forces(self, q: Array, wrenches: Sequence[Array]) -> Array:
+        """Sum of J' w.
+
+        Args:
+            q: Configurations, shape (nq, n).
+            wrenches: One (n, 6) array for every load: force [N] then torque [N·m].
+
+        Returns:
+            Shape (nv, n).
+
+        Raises:
+            ModelError: Another number of values.
+        """
+        if len(wrenches) != len(self._loads):
+            raise ModelError(f"{len(wrenches)} wrenches given, the scene has {len(self._loads)}")
+        total: Array = np.zeros((self._model.nv, q.shape[1]))
+        for start in range(0, q.shape[1], _BLOCK):
+            rows = slice(start, start + _BLOCK)
+            jacobians, poses = self._kinematics(q[:, rows])
+            for k, values in enumerate(wrenches):
+                world = self._in_world(k, values[rows], poses)
+                part = np.einsum("ij,ijk->ki", world, jacobians)
+                total[self._columns[k], rows] += part[self._columns[k]]
+        return total
+
+    def _kinematics(self, q: Array) -> tuple[Array, _Poses]:
+        """World Jacobians, shape (n, 6, nv), and poses of the joints that loads are seen from."""
+        n, data = q.shape[1], self._data
+        jacobians = np.empty((n, 6, self._model.nv))
+        poses = {joint: (np.empty((n, 3, 3)), np.empty((n, 3))) for joint in self._moving}
+        jacobian, refresh = data.J, partial(pin.computeJointJacobians, self._model, data)
+        for i, row in enumerate(np.ascontiguousarray(q.T)):
+            refresh(row)
+            jacobians[i] = jacobian
+            for joint, (rotations, places) in poses.items():
+                pose = data.oMi[joint]
+                rotations[i], places[i] = pose.rotation, pose.translation
+        return jacobians, poses
+
+    def _in_world(self, k: int, values: Array, poses: _Poses) -> Array:
+        """Values of a load about the origin of the world, 0 where its force is too small."""
+        load, about = self._loads[k], self._abouts[k]
+        if load.threshold > 0.0:
+            acts = np.linalg.norm(values[:, :3], axis=1) > load.threshold
+            values = np.where(acts[:, None], values, 0.0)
+        values = _moved(values, about.at.rotation, about.at.translation)
+        return _moved(values, *poses[about.joint]) if about.joint else values
+
+
+def _columns(model: Any, joint: int) -> NDArray[np.intp]:
+    """Where in v the joints stand that move a joint."""
+    moved = [model.joints[j] for j in model.supports[joint] if j]
+    return np.array([i for one in moved for i in range(one.idx_v, one.idx_v + one.nv)], np.intp)
+
+
+def _moved(values: Array, rotation: Array, place: Array) -> Array:
+    """Wrenches in the axes and about the origin that these place is seen from, shape (n, 6)."""
+    force, torque = (
+        np.einsum("...ij,...j->...i", rotation, part) for part in (values[:, :3], values[:, 3:])
+    )
+    return np.hstack([force, torque + np.cross(place, force)])

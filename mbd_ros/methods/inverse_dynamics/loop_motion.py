@@ -1,5 +1,7 @@
 """Motion of a mechanism with loops that its constraints allow, and its equation of motion."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import replace
@@ -28,31 +30,11 @@ from mbd_ros.methods.inverse_dynamics.efforts import Efforts
 from mbd_ros.methods.inverse_dynamics.force_split import rank_of
 from mbd_ros.methods.projection.assembly import assemble
 
-# ---- loop motion ------------------------------------------------------------------------------
-# Measured motion of a mechanism with loops -> motion that its constraints allow.
-
-
 _STRIDE = 0.1  # largest step of a measured joint between two closures [rad or m]
 _ITERATIONS = 30
-
 _LITTLE = 1.0e-3  # of the largest moment of inertia
-
 Mask = NDArray[np.bool_]
-
-
-class Completed(NamedTuple):
-    """A motion whose loops have given the joints that nobody measured.
-
-    Attributes:
-        x: State of all joints.
-        a: Their acceleration, shape (nv,).
-        condition: Condition number of the rows; where it is large the loop folds, and the
-            measured joints no longer tell its two branches apart.
-    """
-
-    x: State
-    a: Array
-    condition: float
+_HOLDS = 1.0e-6  # of the terms that cancel in w where a row holds, and of 1 m/s^2 or rad/s^2
 
 
 class LoopMotion:
@@ -195,23 +177,6 @@ class LoopMotion:
         return J, L, np.where(size > 0.0, size, 1.0)
 
 
-def with_inertia(robot: Robot) -> Robot:
-    """The robot of the metric, which stays regular with links without mass.
-
-    Distances and ranks need a metric, not the masses: where some joints move nothing that has
-    mass, every joint gets a little inertia. Forces never come from this robot.
-    """
-    system = build_system(robot, Couplings(robot), (), Loads(robot.model.nv))
-    try:
-        check_mass_anywhere(system)
-    except SolveError:
-        diagonal = system.mass(robot.neutral()).diagonal()
-        model = robot.model.copy()
-        model.armature = model.armature + _LITTLE * (float(diagonal.max(initial=0.0)) or 1.0)
-        return replace(robot, model=model)
-    return robot
-
-
 def _shortest(J: Array, L: Array, size: Array, r: Array) -> Array:
     """The shortest motion in the metric M = L L' that changes the rows by r, shape (nv,)."""
     weighted = np.linalg.solve(L, J.T) / size
@@ -227,25 +192,19 @@ def _least(A: Array, b: Array) -> Array:
     return least
 
 
-# ---- loop balance -----------------------------------------------------------------------------
-# Equation of motion of a mechanism with loops at one state.
-
-
-_HOLDS = 1.0e-6  # of the terms that cancel in w where a row holds, and of 1 m/s^2 or rad/s^2
-
-
-class Terms(NamedTuple):
-    """Generalized forces of a motion, shape (nv,) each.
+class Completed(NamedTuple):
+    """A motion whose loops have given the joints that nobody measured.
 
     Attributes:
-        inertial: M a.
-        bias: h, gravity included.
-        loads: Forces of wrenches and force terms.
+        x: State of all joints.
+        a: Their acceleration, shape (nv,).
+        condition: Condition number of the rows; where it is large the loop folds, and the
+            measured joints no longer tell its two branches apart.
     """
 
-    inertial: Array
-    bias: Array
-    loads: Array
+    x: State
+    a: Array
+    condition: float
 
 
 class LoopBalance:
@@ -372,12 +331,6 @@ class LoopBalance:
         return Terms(inertial, bias, loads + inertial + bias - loaded)
 
 
-def _of_kind(constraints: ConstraintRows, kind: Kind) -> NDArray[np.bool_]:
-    """Which rows have a law of that kind, shape (m,)."""
-    blocks = [np.full(len(block.rows), block.law.kind is kind) for block in constraints.blocks]
-    return np.concatenate([np.zeros(0, dtype=np.bool_), *blocks])
-
-
 def _check_bounds(blocks: Sequence[RowBlock]) -> None:
     for block in blocks:
         if block.slips:
@@ -385,3 +338,40 @@ def _check_bounds(blocks: Sequence[RowBlock]) -> None:
                 f"row {block.rows[0].name}: inverse dynamics takes no rows that slip; accepted "
                 "laws: bilateral, box, unilateral, drive"
             )
+
+
+def _of_kind(constraints: ConstraintRows, kind: Kind) -> NDArray[np.bool_]:
+    """Which rows have a law of that kind, shape (m,)."""
+    blocks = [np.full(len(block.rows), block.law.kind is kind) for block in constraints.blocks]
+    return np.concatenate([np.zeros(0, dtype=np.bool_), *blocks])
+
+
+class Terms(NamedTuple):
+    """Generalized forces of a motion, shape (nv,) each.
+
+    Attributes:
+        inertial: M a.
+        bias: h, gravity included.
+        loads: Forces of wrenches and force terms.
+    """
+
+    inertial: Array
+    bias: Array
+    loads: Array
+
+
+def with_inertia(robot: Robot) -> Robot:
+    """The robot of the metric, which stays regular with links without mass.
+
+    Distances and ranks need a metric, not the masses: where some joints move nothing that has
+    mass, every joint gets a little inertia. Forces never come from this robot.
+    """
+    system = build_system(robot, Couplings(robot), (), Loads(robot.model.nv))
+    try:
+        check_mass_anywhere(system)
+    except SolveError:
+        diagonal = system.mass(robot.neutral()).diagonal()
+        model = robot.model.copy()
+        model.armature = model.armature + _LITTLE * (float(diagonal.max(initial=0.0)) or 1.0)
+        return replace(robot, model=model)
+    return robot

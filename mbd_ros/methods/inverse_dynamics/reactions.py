@@ -1,5 +1,7 @@
 """Reactions of joints, and loads that joints pass on where muscles pull."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -19,29 +21,14 @@ from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.inverse_dynamics.reserves import CoordinateReserve, Reserve
 
-# ---- reactions --------------------------------------------------------------------------------
-# Reactions of joints, six components each: backward pass of the Newton-Euler recursion.
-
-
-class Reactions(NamedTuple):
-    """Wrenches between bodies.
-
-    Attributes:
-        local: Wrench of the parent of every joint on its child: force [N], then torque [N·m]
-            about the origin of the joint, in the axes of the joint on the child, shape (n, 6).
-            Along the axis of the joint it is the sum of actuator (without the torque on its own
-            rotor, the armature), springs, friction and tendons.
-        world: The same in world axes, about the same point, shape (n, 6).
-        closures: Wrenches of constraints on bodies.
-    """
-
-    local: Array
-    world: Array
-    closures: tuple[Wrench, ...]
+_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
+Side = Literal["child", "parent", "ground"]
 
 
 class JointReactions:
     """Reaction wrenches of the joints of a tree, with loops closed by constraints.
+
+    They come from the backward pass of the Newton-Euler recursion, six components a joint.
 
     Springs, actuators, couplings and friction of a joint act between its parent and its child.
 
@@ -99,8 +86,21 @@ class JointReactions:
         return Reactions(local, world, closures)
 
 
-# ---- sensed reactions -------------------------------------------------------------------------
-# Reactions of joints at an evaluation of a system, as sensors of forces feel them.
+class Reactions(NamedTuple):
+    """Wrenches between bodies.
+
+    Attributes:
+        local: Wrench of the parent of every joint on its child: force [N], then torque [N·m]
+            about the origin of the joint, in the axes of the joint on the child, shape (n, 6).
+            Along the axis of the joint it is the sum of actuator (without the torque on its own
+            rotor, the armature), springs, friction and tendons.
+        world: The same in world axes, about the same point, shape (n, 6).
+        closures: Wrenches of constraints on bodies.
+    """
+
+    local: Array
+    world: Array
+    closures: tuple[Wrench, ...]
 
 
 class FeltReactions:
@@ -128,48 +128,18 @@ class FeltReactions:
         return self._solver.solve(x, a, lam[self._slots], u=given).local
 
 
-# ---- joint loads ------------------------------------------------------------------------------
-# Loads that joints pass on where muscles pull: of each muscle, and in all.
-#
-# The load on a link is what its joint passes from its parent to it: inertia less gravity, external
-# loads and the pulls of muscles on all bodies beyond. A muscle i of tension F_i that pulls at the
-# points r_k of bodies beyond with forces F_i n_k adds to the load about a point o
-#
-#     -F_i sum_k (n_k, (r_k - o) x n_k)
-#
-# Forces that muscles exert on joints by points that move with them are no forces on bodies, and do
-# not enter. Source: K. M. Steele, M. S. DeMers, M. H. Schwartz, S. L. Delp, Gait Posture 35 (2012)
-# 556, on loads of the knee; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 5.3.
-
-
-_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
-Side = Literal["child", "parent", "ground"]
-
-
-class Joined(NamedTuple):
-    """A link and what joins it to its parent: one joint, or several with links without mass.
-
-    Attributes:
-        link: Its name.
-        row: Of its last joint, among the joints of the robot.
-        joint: Index of that joint in the model; its origin is what moments are about.
-        child: Axes of the link.
-        ground: Origin of the last joint.
-        parent: Where the first joint sits, in axes of the parent.
-        parent_link: Name of the parent.
-    """
-
-    link: str
-    row: int
-    joint: int
-    child: Any
-    ground: Any
-    parent: Any
-    parent_link: str
-
-
 class JointLoads:
-    """Loads on links by their joints.
+    """Loads that joints pass on to links where muscles pull: of each muscle, and in all.
+
+    The load on a link is what its joint passes from its parent to it: inertia less gravity,
+    external loads and the pulls of muscles on all bodies beyond. A muscle i of tension F_i that
+    pulls at the points r_k of bodies beyond with forces F_i n_k adds to the load about a point o
+
+        -F_i sum_k (n_k, (r_k - o) x n_k)
+
+    Forces that muscles exert on joints by points that move with them are no forces on bodies, and
+    do not enter. Sources: K. M. Steele, M. S. DeMers, M. H. Schwartz, S. L. Delp, Gait Posture 35
+    (2012) 556, on loads of the knee; R. Featherstone, Rigid Body Dynamics Algorithms, 2008, 5.3.
 
     One instance owns Pinocchio data: not for two threads.
 
@@ -327,6 +297,28 @@ def joined_links(robot: Robot, links: Sequence[str] = ()) -> tuple[Joined, ...]:
             raise ModelError(f"no joint carries link '{name}'; joints carry {names}")
         found.append(_joined(robot, name, joint, places[joint], heavy))
     return tuple(found)
+
+
+class Joined(NamedTuple):
+    """A link and what joins it to its parent: one joint, or several with links without mass.
+
+    Attributes:
+        link: Its name.
+        row: Of its last joint, among the joints of the robot.
+        joint: Index of that joint in the model; its origin is what moments are about.
+        child: Axes of the link.
+        ground: Origin of the last joint.
+        parent: Where the first joint sits, in axes of the parent.
+        parent_link: Name of the parent.
+    """
+
+    link: str
+    row: int
+    joint: int
+    child: Any
+    ground: Any
+    parent: Any
+    parent_link: str
 
 
 def _joined(robot: Robot, name: str, joint: int, row: int, heavy: dict[int, str]) -> Joined:

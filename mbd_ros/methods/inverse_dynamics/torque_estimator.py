@@ -1,5 +1,7 @@
 """Joint-state samples -> torques: the causal estimate, live and offline alike."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any, NamedTuple
@@ -16,78 +18,8 @@ from mbd_ros.errors import SolveError
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
 from mbd_ros.methods.signals.differentiation import CausalDifferentiator, SampleStatus
 
-# ---- joint observer ---------------------------------------------------------------------------
-# Samples of joints and free bodies -> accepted samples with derivatives, filled for a while.
-
-
 _NEVER = -(2**62)
 _UNUSED = (SampleStatus.OLD, SampleStatus.JUMP, SampleStatus.NOT_FINITE, SampleStatus.INCOMPLETE)
-
-
-class Tuning(NamedTuple):
-    """How samples are judged and filtered.
-
-    Attributes:
-        cutoff: Half-power frequency of the causal filters of derivatives.
-        velocity_margin: Position steps beyond margin x velocity limit x dt are encoder glitches.
-        patience: Number of glitches in a row that are believed.
-        max_age: How long a joint that messages lack keeps its last position.
-        rewind: A stamp older than the last by more than this is a new beginning.
-    """
-
-    cutoff: Annotated[float, Within(1.0e-3, 1.0e6), Unit("Hz")] = 5.0
-    velocity_margin: Annotated[float, Within(0.1, 1.0e6), Unit("-")] = 2.0
-    patience: Annotated[int, Within(1, 10_000)] = 5
-    max_age: Annotated[float, Within(0.0, 60.0), Unit("s")] = 0.1
-    rewind: Annotated[float, Within(0.0, 3600.0), Unit("s")] = 1.0
-
-
-class Observation(NamedTuple):
-    """One accepted sample with its derivatives.
-
-    Attributes:
-        stamp: Time [ns].
-        position: Independent coordinates y [rad or m], shape (ny,).
-        velocity: y' [rad/s or m/s], shape (nv_y,).
-        acceleration: y'' [rad/s^2 or m/s^2], shape (nv_y,).
-        dependent: Measured positions of the dependent joints, NaN where absent, shape (n_d,).
-    """
-
-    stamp: int
-    position: Array
-    velocity: Array
-    acceleration: Array
-    dependent: Array
-
-
-class Observations(NamedTuple):
-    """Accepted samples with their derivatives, one a row.
-
-    Attributes:
-        stamps: Times [ns], shape (n,).
-        position: Independent coordinates y [rad or m], shape (n, ny).
-        velocity: y' [rad/s or m/s], shape (n, nv_y).
-        acceleration: y'' [rad/s^2 or m/s^2], shape (n, nv_y).
-        dependent: Measured positions of the dependent joints, NaN where absent, shape (n, n_d).
-    """
-
-    stamps: NDArray[np.int64]
-    position: Array
-    velocity: Array
-    acceleration: Array
-    dependent: Array
-
-    def each(self) -> Iterator[Observation]:
-        """The samples one by one."""
-        rows = zip(self.stamps.tolist(), *self[1:], strict=True)
-        return (Observation(*row) for row in rows)
-
-
-def together(parts: Sequence[Observations]) -> Observations:
-    """Samples after each other."""
-    if len(parts) == 1:
-        return parts[0]
-    return Observations(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
 
 class JointObserver:
@@ -254,10 +186,6 @@ class JointObserver:
         return outcome
 
 
-# ---- torque estimator -------------------------------------------------------------------------
-# Joint-state samples -> torques: the causal estimate, live and offline alike.
-
-
 class TorqueEstimator(JointObserver):
     """Causal inverse dynamics on a stream of joint samples.
 
@@ -342,3 +270,69 @@ class TorqueEstimator(JointObserver):
         """
         off = x.dependent - self._inverse.configuration[self._dependent_q]
         return np.where(np.isfinite(off), off, 0.0)
+
+
+class Tuning(NamedTuple):
+    """How samples are judged and filtered.
+
+    Attributes:
+        cutoff: Half-power frequency of the causal filters of derivatives.
+        velocity_margin: Position steps beyond margin x velocity limit x dt are encoder glitches.
+        patience: Number of glitches in a row that are believed.
+        max_age: How long a joint that messages lack keeps its last position.
+        rewind: A stamp older than the last by more than this is a new beginning.
+    """
+
+    cutoff: Annotated[float, Within(1.0e-3, 1.0e6), Unit("Hz")] = 5.0
+    velocity_margin: Annotated[float, Within(0.1, 1.0e6), Unit("-")] = 2.0
+    patience: Annotated[int, Within(1, 10_000)] = 5
+    max_age: Annotated[float, Within(0.0, 60.0), Unit("s")] = 0.1
+    rewind: Annotated[float, Within(0.0, 3600.0), Unit("s")] = 1.0
+
+
+class Observation(NamedTuple):
+    """One accepted sample with its derivatives.
+
+    Attributes:
+        stamp: Time [ns].
+        position: Independent coordinates y [rad or m], shape (ny,).
+        velocity: y' [rad/s or m/s], shape (nv_y,).
+        acceleration: y'' [rad/s^2 or m/s^2], shape (nv_y,).
+        dependent: Measured positions of the dependent joints, NaN where absent, shape (n_d,).
+    """
+
+    stamp: int
+    position: Array
+    velocity: Array
+    acceleration: Array
+    dependent: Array
+
+
+class Observations(NamedTuple):
+    """Accepted samples with their derivatives, one a row.
+
+    Attributes:
+        stamps: Times [ns], shape (n,).
+        position: Independent coordinates y [rad or m], shape (n, ny).
+        velocity: y' [rad/s or m/s], shape (n, nv_y).
+        acceleration: y'' [rad/s^2 or m/s^2], shape (n, nv_y).
+        dependent: Measured positions of the dependent joints, NaN where absent, shape (n, n_d).
+    """
+
+    stamps: NDArray[np.int64]
+    position: Array
+    velocity: Array
+    acceleration: Array
+    dependent: Array
+
+    def each(self) -> Iterator[Observation]:
+        """The samples one by one."""
+        rows = zip(self.stamps.tolist(), *self[1:], strict=True)
+        return (Observation(*row) for row in rows)
+
+
+def together(parts: Sequence[Observations]) -> Observations:
+    """Samples after each other."""
+    if len(parts) == 1:
+        return parts[0]
+    return Observations(*(np.concatenate(each) for each in zip(*parts, strict=True)))

@@ -1,4 +1,10 @@
-"""Molecules of one kind: bonds, angles, torsions, charges, external fields."""
+"""Molecules of one kind: bonds, angles, torsions, charges, external fields.
+
+Arrays of positions and forces have the shape (atoms, 3, lanes), one lane a molecule. Each elastic
+term and field adds its force and gives its energy, a number a lane.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -10,11 +16,6 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.methods.particles.rigid_bonds import Cluster, PointRow, blocks_of, product
 from mbd_ros.methods.particles.settle import SettledCluster, triangle_of
-
-# ---- elastic ----------------------------------------------------------------------------------
-# Elastic bonds, angles and torsions of molecules, for all molecules of a kind at once.
-#
-# Positions and forces are (atoms, 3, lanes). Each term adds its force and gives its energy a lane.
 
 
 class ElasticBond(NamedTuple):
@@ -138,23 +139,6 @@ class Torsion(NamedTuple):
 ElasticTerm = ElasticBond | ElasticAngle | Torsion
 
 
-def _norm(a: Array) -> Array:
-    norm: Array = np.sqrt(product(a, a))
-    return norm
-
-
-def energy_of(terms: Sequence[ElasticTerm], x: Array) -> Array:
-    """Sum of the energies, shape (lanes,)."""
-    energy = np.zeros(x.shape[2])
-    for term in terms:
-        energy += term.energy(x)
-    return energy
-
-
-# ---- fields -----------------------------------------------------------------------------------
-# External fields that act on every particle: accelerations, and potentials of the position.
-
-
 class UniformField(NamedTuple):
     """V = -m g . x: the same acceleration for all.
 
@@ -207,18 +191,6 @@ class PolynomialField(NamedTuple):
 
 
 Field = UniformField | PolynomialField
-
-
-def field_energy(fields: Sequence[Field], masses: Array, x: Array) -> Array:
-    """Sum of the energies, shape (lanes,)."""
-    energy = np.zeros(x.shape[2])
-    for outer in fields:
-        energy += outer.energy(masses, x)
-    return energy
-
-
-# ---- molecules --------------------------------------------------------------------------------
-# Molecules of one kind: a template, repeated; arrays of them are (atoms, 3, lanes).
 
 
 @dataclass(frozen=True, eq=False)
@@ -344,10 +316,20 @@ def cluster_of(rows: Sequence[PointRow], masses: Array, at: Array) -> Cluster:
     return Cluster(rows, masses, at)
 
 
-# ---- sites ------------------------------------------------------------------------------------
-# Points without mass that carry charges: weighted means of the atoms of their molecule.
-#
-# x_s = sum_i w_i x_i,   f_i += w_i f_s
+def field_energy(fields: Sequence[Field], masses: Array, x: Array) -> Array:
+    """Sum of the energies, shape (lanes,)."""
+    energy = np.zeros(x.shape[2])
+    for outer in fields:
+        energy += outer.energy(masses, x)
+    return energy
+
+
+def energy_of(terms: Sequence[ElasticTerm], x: Array) -> Array:
+    """Sum of the energies, shape (lanes,)."""
+    energy = np.zeros(x.shape[2])
+    for term in terms:
+        energy += term.energy(x)
+    return energy
 
 
 class SiteGroup(NamedTuple):
@@ -365,7 +347,10 @@ class SiteGroup(NamedTuple):
 
 
 class Sites:
-    """All sites of a scene; they follow the atoms, group by group, molecule by molecule.
+    """All sites of a scene: points without mass that carry charges.
+
+    A site is a weighted mean of atoms of its molecule: x_s = sum_i w_i x_i, f_i += w_i f_s. Sites
+    follow the atoms, group by group, molecule by molecule.
 
     Args:
         groups: The groups.
@@ -403,3 +388,8 @@ class Sites:
         return x[group.first : group.first + group.molecules * size].reshape(
             group.molecules, size, 3
         )
+
+
+def _norm(a: Array) -> Array:
+    norm: Array = np.sqrt(product(a, a))
+    return norm

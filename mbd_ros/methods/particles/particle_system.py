@@ -1,5 +1,7 @@
 """Points with rows between them, as a system: no joints, no Pinocchio model."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
@@ -18,121 +20,7 @@ from mbd_ros.core.rows.delassus import RowFactor
 from mbd_ros.core.state import NONE, Array, Evaluation, Mode, State
 from mbd_ros.methods.particles.molecules import Molecules
 
-# Rows of molecules, block by block.
-
-
-class ParticleRows:
-    """Rows of all molecules, kind by kind, molecule by molecule.
-
-    Args:
-        kinds: The molecules.
-        slices: Where each kind stands in a vector of all coordinates.
-
-    Attributes:
-        count: How many rows there are.
-    """
-
-    def __init__(self, kinds: Sequence[Molecules], slices: Sequence[slice]) -> None:
-        self._kinds, self._slices = tuple(kinds), tuple(slices)
-        self._size = slices[-1].stop
-        self.count = sum(kind.count * len(kind.rows) for kind in kinds)
-
-    def split(self, flat: Array) -> list[Array]:
-        """Views of a vector of all coordinates, (atoms, 3, lanes) of each kind."""
-        pairs = zip(self._kinds, self._slices, strict=True)
-        return [kind.lanes(flat[mine]) for kind, mine in pairs]
-
-    def residual(self, t: float, q: Array) -> Array:
-        """G of all rows, shape (m,)."""
-        parts = zip(self._kinds, self.split(q), strict=True)
-        return _joined([kind.residual(x) for kind, x in parts])
-
-    def rate_of_rows(self, q: Array, v: Array) -> Array:
-        """G' = J v of all rows, shape (m,), without forming J."""
-        parts = zip(self._kinds, self.split(q), self.split(v), strict=True)
-        return _joined([kind.rate(x, w) for kind, x, w in parts])
-
-    def rate(self, t: float, q: Array) -> Array:
-        """dg/dt, shape (m,)."""
-        return np.zeros(self.count)
-
-    def jacobian(self, t: float, q: Array) -> Array:
-        """dg/dq, shape (m, nv), dense."""
-        J, row = np.zeros((self.count, self._size)), 0
-        for kind, x, mine in zip(self._kinds, self.split(q), self._slices, strict=True):
-            own = [row for cluster in kind.clusters for row in cluster.rows]
-            directions = [one.direction(x) for one in own]
-            for lane in range(kind.count):
-                first = mine.start + 3 * len(kind.atoms) * lane
-                for one, D in zip(own, directions, strict=True):
-                    for i, sign in one.ends:
-                        J[row, first + 3 * i : first + 3 * i + 3] += sign * D[:, lane]
-                    row += 1
-        return J
-
-    def multipliers(self, q: Array, v: Array, force: Array) -> Array:
-        """Multipliers of all rows, shape (m,), block by block."""
-        parts = zip(self._kinds, *map(self.split, (q, v, force)), strict=True)
-        lam = [kind.multipliers(x, w, kind.accelerations(f)) for kind, x, w, f in parts]
-        return _joined(lam)
-
-    def pushed(self, q: Array, lam: Array) -> Array:
-        """J' lam, shape (nv,), block by block."""
-        force, first = np.zeros(self._size), 0
-        for kind, x, mine in zip(self._kinds, self.split(q), self._slices, strict=True):
-            m = sum(len(cluster.rows) for cluster in kind.clusters) * kind.count
-            of_kind = lam[first : first + m].reshape(kind.count, -1).T
-            kind.lanes(force[mine])[...] = kind.pushed(x, of_kind)
-            first += m
-        return force
-
-
-def _joined(parts: Sequence[Array]) -> Array:
-    """Rows of shape (m, lanes) of each kind as one vector, molecule by molecule."""
-    return np.concatenate([part.T.ravel() for part in parts])
-
-
-# The mass matrix of points as an operator: a diagonal.
-
-
-class ParticleMass:
-    """M of points; products and solutions cost as much as a vector.
-
-    Args:
-        diagonal: Mass of each coordinate, shape (nv,).
-    """
-
-    def __init__(self, diagonal: Array) -> None:
-        self._diagonal = diagonal
-
-    @property
-    def dense(self) -> Array:
-        """The matrix, for who can pay."""
-        return np.diag(self._diagonal)
-
-    def dot(self, v: Array) -> Array:
-        """M v, shape as v."""
-        product: Array = (self._diagonal * v.T).T
-        return product
-
-    def diagonal(self) -> Array:
-        """Entries of the diagonal, shape (nv,)."""
-        return self._diagonal
-
-    def solve(self, force: Array) -> Array:
-        """M^-1 force, shape as `force`, (nv,) or (nv, k)."""
-        a: Array = (force.T / self._diagonal).T
-        return a
-
-
 Spread = Callable[[Molecules, Array], Array]
-
-
-class PairForces(Protocol):
-    """Forces between points of different molecules."""
-
-    def add_force(self, x: Array, force: Array) -> float:
-        """Adds forces at positions, both of shape (n, 3); returns their potential energy."""
 
 
 class ParticleSystem:
@@ -207,7 +95,7 @@ class ParticleSystem:
         return self.rows
 
     @property
-    def held(self) -> "ParticleSystem":
+    def held(self) -> ParticleSystem:
         """All bilateral rows: those of positions, there are no others."""
         return self
 
@@ -329,7 +217,7 @@ class ParticleSystem:
         """The same accelerations."""
         return a
 
-    def with_gains(self, kp: float, kd: float) -> "ParticleSystem":
+    def with_gains(self, kp: float, kd: float) -> ParticleSystem:
         """The same system: rows are kept by projection or by the method.
 
         Raises:
@@ -337,7 +225,7 @@ class ParticleSystem:
         """
         return self
 
-    def repeated(self, count: int) -> "ParticleSystem":
+    def repeated(self, count: int) -> ParticleSystem:
         """As many independent copies side by side, such as chains of samples.
 
         Points of a kind follow one another copy by copy: a vector of the copies is that of each
@@ -347,3 +235,111 @@ class ParticleSystem:
 
         kinds = [replace(kind, count=count * kind.count) for kind in self.kinds]
         return ParticleSystem(kinds, None, self._force_unit, self.steps)
+
+
+class PairForces(Protocol):
+    """Forces between points of different molecules."""
+
+    def add_force(self, x: Array, force: Array) -> float:
+        """Adds forces at positions, both of shape (n, 3); returns their potential energy."""
+
+
+class ParticleRows:
+    """Rows of all molecules, kind by kind, molecule by molecule.
+
+    Args:
+        kinds: The molecules.
+        slices: Where each kind stands in a vector of all coordinates.
+
+    Attributes:
+        count: How many rows there are.
+    """
+
+    def __init__(self, kinds: Sequence[Molecules], slices: Sequence[slice]) -> None:
+        self._kinds, self._slices = tuple(kinds), tuple(slices)
+        self._size = slices[-1].stop
+        self.count = sum(kind.count * len(kind.rows) for kind in kinds)
+
+    def split(self, flat: Array) -> list[Array]:
+        """Views of a vector of all coordinates, (atoms, 3, lanes) of each kind."""
+        pairs = zip(self._kinds, self._slices, strict=True)
+        return [kind.lanes(flat[mine]) for kind, mine in pairs]
+
+    def residual(self, t: float, q: Array) -> Array:
+        """G of all rows, shape (m,)."""
+        parts = zip(self._kinds, self.split(q), strict=True)
+        return _joined([kind.residual(x) for kind, x in parts])
+
+    def rate_of_rows(self, q: Array, v: Array) -> Array:
+        """G' = J v of all rows, shape (m,), without forming J."""
+        parts = zip(self._kinds, self.split(q), self.split(v), strict=True)
+        return _joined([kind.rate(x, w) for kind, x, w in parts])
+
+    def rate(self, t: float, q: Array) -> Array:
+        """dg/dt, shape (m,)."""
+        return np.zeros(self.count)
+
+    def jacobian(self, t: float, q: Array) -> Array:
+        """dg/dq, shape (m, nv), dense."""
+        J, row = np.zeros((self.count, self._size)), 0
+        for kind, x, mine in zip(self._kinds, self.split(q), self._slices, strict=True):
+            own = [row for cluster in kind.clusters for row in cluster.rows]
+            directions = [one.direction(x) for one in own]
+            for lane in range(kind.count):
+                first = mine.start + 3 * len(kind.atoms) * lane
+                for one, D in zip(own, directions, strict=True):
+                    for i, sign in one.ends:
+                        J[row, first + 3 * i : first + 3 * i + 3] += sign * D[:, lane]
+                    row += 1
+        return J
+
+    def multipliers(self, q: Array, v: Array, force: Array) -> Array:
+        """Multipliers of all rows, shape (m,), block by block."""
+        parts = zip(self._kinds, *map(self.split, (q, v, force)), strict=True)
+        lam = [kind.multipliers(x, w, kind.accelerations(f)) for kind, x, w, f in parts]
+        return _joined(lam)
+
+    def pushed(self, q: Array, lam: Array) -> Array:
+        """J' lam, shape (nv,), block by block."""
+        force, first = np.zeros(self._size), 0
+        for kind, x, mine in zip(self._kinds, self.split(q), self._slices, strict=True):
+            m = sum(len(cluster.rows) for cluster in kind.clusters) * kind.count
+            of_kind = lam[first : first + m].reshape(kind.count, -1).T
+            kind.lanes(force[mine])[...] = kind.pushed(x, of_kind)
+            first += m
+        return force
+
+
+def _joined(parts: Sequence[Array]) -> Array:
+    """Rows of shape (m, lanes) of each kind as one vector, molecule by molecule."""
+    return np.concatenate([part.T.ravel() for part in parts])
+
+
+class ParticleMass:
+    """The diagonal mass matrix of points; products and solutions cost as much as a vector.
+
+    Args:
+        diagonal: Mass of each coordinate, shape (nv,).
+    """
+
+    def __init__(self, diagonal: Array) -> None:
+        self._diagonal = diagonal
+
+    @property
+    def dense(self) -> Array:
+        """The matrix, for who can pay."""
+        return np.diag(self._diagonal)
+
+    def dot(self, v: Array) -> Array:
+        """M v, shape as v."""
+        product: Array = (self._diagonal * v.T).T
+        return product
+
+    def diagonal(self) -> Array:
+        """Entries of the diagonal, shape (nv,)."""
+        return self._diagonal
+
+    def solve(self, force: Array) -> Array:
+        """M^-1 force, shape as `force`, (nv,) or (nv, k)."""
+        a: Array = (force.T / self._diagonal).T
+        return a

@@ -4,6 +4,8 @@ Arrays are (atoms, 3, lanes), a lane a molecule. A row has one direction in spac
 of J M^-1 J' is a number that masses give, times the product of two directions.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from math import isfinite, sqrt
 from typing import NamedTuple
@@ -13,20 +15,6 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import ASSEMBLED, BRANCH_STEP, LANDED, redundant
 from mbd_ros.errors import SolveError
-
-# ---- row geometry -----------------------------------------------------------------------------
-# Rows between points: fixed distances, and points on surfaces of second order.
-
-
-def product(a: Array, b: Array) -> Array:
-    """Products a . b of vectors side by side, (3, lanes) each, shape (lanes,).
-
-    Written out, so that a lane has the same bits whatever stands beside it.
-    """
-    sum_: Array = a[0] * b[0]
-    sum_ += a[1] * b[1]
-    sum_ += a[2] * b[2]
-    return sum_
 
 
 class DistanceRow(NamedTuple):
@@ -140,56 +128,7 @@ class SurfaceRow(NamedTuple):
 
 
 PointRow = DistanceRow | SurfaceRow
-
-
-# ---- elimination ------------------------------------------------------------------------------
-# Many small systems of linear equations, solved side by side.
-
-
 _LONGEST = 6  # rows up to which a loop over them costs less than a library call a system
-
-
-def solved(A: Array, b: Array) -> Array:
-    """The x with A x = b in every lane; A is regular and nearly symmetric and definite.
-
-    Args:
-        A: Shape (m, m, lanes).
-        b: Shape (m, lanes).
-    """
-    m = len(b)
-    if m == 1:
-        one: Array = b / A[0]
-        return one
-    if m > _LONGEST:
-        many: Array = np.linalg.solve(A.transpose(2, 0, 1), b.T[:, :, None])[:, :, 0].T
-        return many
-    rows, right = [[A[i, j] for j in range(m)] for i in range(m)], [b[i] for i in range(m)]
-    for k in range(m):
-        inverse = 1.0 / rows[k][k]
-        for i in range(k + 1, m):
-            factor = rows[i][k] * inverse
-            right[i] = right[i] - factor * right[k]
-            for j in range(k + 1, m):
-                rows[i][j] = rows[i][j] - factor * rows[k][j]
-        rows[k][k] = inverse
-    for k in reversed(range(m)):
-        for j in range(k + 1, m):
-            right[k] = right[k] - rows[k][j] * right[j]
-        right[k] = right[k] * rows[k][k]
-    return np.array(right)
-
-
-def least_solved(A: Array, b: Array) -> Array:
-    """The x of smallest norm with A x nearest to b in every lane, where rows are redundant."""
-    inverse = np.linalg.pinv(A.transpose(2, 0, 1), rcond=redundant(len(b)))
-    least: Array = np.matmul(inverse, b.T[:, :, None])[:, :, 0].T
-    return least
-
-
-# ---- cluster ----------------------------------------------------------------------------------
-# Rows that share points: a block of rows, solved for side by side in all molecules of a kind.
-
-
 _NEWTON = 25
 _ASSEMBLY = 200
 _FORESEEN = 1.0e-2  # of the tolerance: what a last correction leaves
@@ -356,6 +295,24 @@ def _shares(rows: Sequence[PointRow], masses: Array) -> list[tuple[int, int, flo
     return shares
 
 
+def least_solved(A: Array, b: Array) -> Array:
+    """The x of smallest norm with A x nearest to b in every lane, where rows are redundant."""
+    inverse = np.linalg.pinv(A.transpose(2, 0, 1), rcond=redundant(len(b)))
+    least: Array = np.matmul(inverse, b.T[:, :, None])[:, :, 0].T
+    return least
+
+
+def product(a: Array, b: Array) -> Array:
+    """Products a . b of vectors side by side, (3, lanes) each, shape (lanes,).
+
+    Written out, so that a lane has the same bits whatever stands beside it.
+    """
+    sum_: Array = a[0] * b[0]
+    sum_ += a[1] * b[1]
+    sum_ += a[2] * b[2]
+    return sum_
+
+
 def blocks_of(rows: Sequence[PointRow]) -> list[list[PointRow]]:
     """Rows in blocks that share no point."""
     groups: list[tuple[set[int], list[PointRow]]] = []
@@ -367,3 +324,33 @@ def blocks_of(rows: Sequence[PointRow]) -> list[list[PointRow]]:
             mine = [*group[1], *mine]
         groups.append((points, mine))
     return [mine for _, mine in groups]
+
+
+def solved(A: Array, b: Array) -> Array:
+    """The x with A x = b in every lane; A is regular and nearly symmetric and definite.
+
+    Args:
+        A: Shape (m, m, lanes).
+        b: Shape (m, lanes).
+    """
+    m = len(b)
+    if m == 1:
+        one: Array = b / A[0]
+        return one
+    if m > _LONGEST:
+        many: Array = np.linalg.solve(A.transpose(2, 0, 1), b.T[:, :, None])[:, :, 0].T
+        return many
+    rows, right = [[A[i, j] for j in range(m)] for i in range(m)], [b[i] for i in range(m)]
+    for k in range(m):
+        inverse = 1.0 / rows[k][k]
+        for i in range(k + 1, m):
+            factor = rows[i][k] * inverse
+            right[i] = right[i] - factor * right[k]
+            for j in range(k + 1, m):
+                rows[i][j] = rows[i][j] - factor * rows[k][j]
+        rows[k][k] = inverse
+    for k in reversed(range(m)):
+        for j in range(k + 1, m):
+            right[k] = right[k] - rows[k][j] * right[j]
+        right[k] = right[k] * rows[k][k]
+    return np.array(right)

@@ -1,5 +1,7 @@
 """RATTLE and SHAKE of points, all molecules of a kind side by side."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Iterator, Sequence
 
@@ -11,43 +13,6 @@ from mbd_ros.errors import DivergedError, SolveError
 from mbd_ros.methods.integration.stepping import Stepper, clip
 from mbd_ros.methods.particles.molecules import Molecules
 from mbd_ros.methods.particles.particle_system import ParticleSystem
-
-# ---- verlet steps -----------------------------------------------------------------------------
-# RATTLE and SHAKE of points: rows of a molecule are solved side by side in all molecules.
-
-
-class KindSteps:
-    """Half steps of the molecules of one kind, on arrays of shape (atoms, 3, lanes).
-
-    Args:
-        kind: The molecules.
-        tolerance: |g| in sizes of the rows that may be left.
-        projects: Whether velocities are moved onto the rows.
-    """
-
-    def __init__(self, kind: Molecules, tolerance: float, projects: bool) -> None:
-        self.kind, self._tolerance, self._projects = kind, tolerance, projects
-
-    def move(self, x: Array, v: Array, force: Array | None, kick: float, h: float) -> Array:
-        """Kicks the velocities, which are written; the places they lead to, on the rows.
-
-        Raises:
-            SolveError: Rows cannot be closed.
-        """
-        if force is not None:
-            v += kick * self.kind.accelerations(force)
-        moved: Array = h * v
-        moved += x
-        for cluster in self.kind.clusters:
-            cluster.close(x, moved, v, h, self._tolerance)
-        return moved
-
-    def finish(self, x: Array, v: Array, force: Array | None, kick: float) -> None:
-        """Kicks the velocities and moves them onto the rows; v is written."""
-        if force is not None:
-            v += kick * self.kind.accelerations(force)
-        if self._projects:
-            self.kind.project(x, v)
 
 
 class ParticleVerlet(Stepper):
@@ -184,15 +149,6 @@ class ParticleShake(ParticleVerlet):
         return x
 
 
-# ---- particle run -----------------------------------------------------------------------------
-# A run of points: states after every so many steps.
-
-
-def sample_count(duration: float, dt: float, every: int) -> int:
-    """How many samples follow the first one."""
-    return math.ceil(duration / (dt * every) - SAME_TIME)
-
-
 def run(
     system: ParticleSystem,
     stepper: ParticleVerlet,
@@ -224,3 +180,42 @@ def run(
             name = system.names[int(bad[0]) // 3] if len(bad) else system.names[0]
             raise DivergedError(f"the state of {name} is not finite at t = {x.t:.9g}")
         yield x
+
+
+def sample_count(duration: float, dt: float, every: int) -> int:
+    """How many samples follow the first one."""
+    return math.ceil(duration / (dt * every) - SAME_TIME)
+
+
+class KindSteps:
+    """Half steps of the molecules of one kind, on arrays of shape (atoms, 3, lanes).
+
+    Args:
+        kind: The molecules.
+        tolerance: |g| in sizes of the rows that may be left.
+        projects: Whether velocities are moved onto the rows.
+    """
+
+    def __init__(self, kind: Molecules, tolerance: float, projects: bool) -> None:
+        self.kind, self._tolerance, self._projects = kind, tolerance, projects
+
+    def move(self, x: Array, v: Array, force: Array | None, kick: float, h: float) -> Array:
+        """Kicks the velocities, which are written; the places they lead to, on the rows.
+
+        Raises:
+            SolveError: Rows cannot be closed.
+        """
+        if force is not None:
+            v += kick * self.kind.accelerations(force)
+        moved: Array = h * v
+        moved += x
+        for cluster in self.kind.clusters:
+            cluster.close(x, moved, v, h, self._tolerance)
+        return moved
+
+    def finish(self, x: Array, v: Array, force: Array | None, kick: float) -> None:
+        """Kicks the velocities and moves them onto the rows; v is written."""
+        if force is not None:
+            v += kick * self.kind.accelerations(force)
+        if self._projects:
+            self.kind.project(x, v)
