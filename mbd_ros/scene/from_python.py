@@ -1,4 +1,4 @@
-"""Scenes that Python makes: from a mapping, and from a scene with other sections."""
+"""Scenes that Python makes: entries from Python values, and the robot from a file or a text."""
 
 import inspect
 import math

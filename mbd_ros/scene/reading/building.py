@@ -4,17 +4,15 @@ import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.reading.part_names import refuse_repeated
 from mbd_ros.scene.schema.code_permission import code_of_others, require_permission
 from mbd_ros.scene.schema.sections import SECTIONS, Section, keys, ordered, parts_in
-
-if TYPE_CHECKING:
-    from mbd_ros.scene.built_scene import Scene
 
 
 class Kept(NamedTuple):
@@ -46,7 +44,7 @@ def build(
     entries: Mapping[str, Any],
     table: Sequence[Section],
     kept: Kept = Kept(),  # noqa: B008, a constant
-    scene: "Scene | None" = None,
+    scene: Scene | None = None,
 ) -> Built:
     """Build the sections from their entries, in the order that `after` demands.
 
@@ -99,7 +97,7 @@ class Site(NamedTuple):
     robot: Robot | None
     parts: Mapping[str, Any]
     kept: Mapping[Any, Any] = MappingProxyType({})
-    scene: "Scene | None" = None
+    scene: Scene | None = None
 
     @property
     def where(self) -> str:

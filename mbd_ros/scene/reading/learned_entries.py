@@ -3,16 +3,14 @@
 import typing
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mbd_ros.core.contracts import Load
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.methods.learned import LARGEST, About, LearnedFile, check_physics, physics_of
+from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
-
-if TYPE_CHECKING:
-    from mbd_ros.scene.built_scene import Scene
 
 
 def with_files(part: type, entry: Mapping[str, Any], where: str, folder: Path) -> dict[str, Any]:
@@ -35,7 +33,7 @@ def with_files(part: type, entry: Mapping[str, Any], where: str, folder: Path) -
     return found
 
 
-def physics_beside(scene: "Scene", said: About) -> dict[str, list[float]]:
+def physics_beside(scene: Scene, said: About) -> dict[str, list[float]]:
     """What the scene exerts beside a model, see `physics_of`."""
     given = scene.parts.get("forces", ())
     others = [part for part in given if not is_learned(part)]
@@ -47,7 +45,7 @@ def is_learned(part: Load) -> bool:
     return isinstance(getattr(part, "said", None), About)
 
 
-def check_models(scene: "Scene") -> None:
+def check_models(scene: Scene) -> None:
     """Refuse models that were learned beside other forces than those of the scene.
 
     Raises:
