@@ -1,5 +1,7 @@
 """How far a motion is from all stops and contacts."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 
@@ -12,10 +14,6 @@ from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.rows.constraint import Constraint, Kind
 from mbd_ros.core.rows.constraint_rows import RowBlock
 from mbd_ros.core.state import Array, State
-
-# ---- clearance --------------------------------------------------------------------------------
-# How far a motion is from all stops and contacts, so that steps far from them need no search.
-
 
 _AHEAD = 4.0  # paths of the last step that several steps at once stay away from a search
 
@@ -115,15 +113,11 @@ class Clearance:
         return gap if self._contacts is None else min(gap, self._contacts.shortest(x))
 
 
-def _contact_room(system: System, blocks: list[RowBlock]) -> "ContactRoom | None":
+def _contact_room(system: System, blocks: list[RowBlock]) -> ContactRoom | None:
     if not blocks:
         return None
 
     return ContactRoom(system, [block.part for block in blocks])
-
-
-# ---- contact clearance ------------------------------------------------------------------------
-# How far joints may move before a contact can touch.
 
 
 class ContactRoom:

@@ -1,5 +1,7 @@
 """Guards: numbers whose zeros are events, and where they change sign."""
 
+from __future__ import annotations
+
 import itertools
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
@@ -15,11 +17,13 @@ from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError
 
-# ---- crossings --------------------------------------------------------------------------------
-# Numbers whose zeros end a phase.
-
-
 _LINE = 1.0e-9  # of the size of points: so near to a line, they are on it
+Point = tuple[float, float]
+"""An argument of a function, and its value there."""
+
+
+_WIDTH = 1.0e-4  # of a bracket: for a slope
+_NO_ROWS, _ALL_ROWS = slice(0, 0), slice(None)
 
 
 class Crossing(Protocol):
@@ -41,25 +45,6 @@ class Crossing(Protocol):
             x: The state.
             lam: Multipliers of all rows of the phase, shape (m,).
         """
-
-
-class Combination(NamedTuple):
-    """A sum of joint positions times factors, less a level [rad or m].
-
-    Attributes:
-        q: Indices of the joints in a configuration, shape (n,).
-        factors: One a joint, shape (n,).
-        at: The level.
-    """
-
-    q: NDArray[np.intp]
-    factors: Array
-    at: float
-    reads: Reads = Reads.NOTHING
-
-    def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
-        return float(self.factors.dot(x.q[self.q])) - self.at
 
 
 class Gap(NamedTuple):
@@ -180,13 +165,23 @@ class Condition(NamedTuple):
         return value > 0.0 if self.above else value < 0.0
 
 
-# ---- event location ---------------------------------------------------------------------------
-# Where a function of one variable changes its sign, to rounding.
+class Combination(NamedTuple):
+    """A sum of joint positions times factors, less a level [rad or m].
 
+    Attributes:
+        q: Indices of the joints in a configuration, shape (n,).
+        factors: One a joint, shape (n,).
+        at: The level.
+    """
 
-Point = tuple[float, float]
-"""An argument of a function, and its value there."""
-_WIDTH = 1.0e-4  # of a bracket: for a slope
+    q: NDArray[np.intp]
+    factors: Array
+    at: float
+    reads: Reads = Reads.NOTHING
+
+    def value(self, k: Kinematics, x: State, lam: Array) -> float:
+        """As `Crossing.value`."""
+        return float(self.factors.dot(x.q[self.q])) - self.at
 
 
 def sign_change(f: Callable[[float], float], near: Point, far: Point, width: float = 0.0) -> float:
@@ -221,6 +216,19 @@ def sign_change(f: Callable[[float], float], near: Point, far: Point, width: flo
     return best
 
 
+def _interpolated(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
+    """Part of the way from a to b at which to look next."""
+    (xa, fa), (xb, fb), (xc, fc) = a, b, c
+    if fb == fc or fa in (fb, fc):
+        return 0.5
+    xi, phi = (xa - xb) / (xc - xb), (fa - fb) / (fc - fb)
+    if not 1.0 - math.sqrt(1.0 - xi) < phi < math.sqrt(xi):
+        return 0.5
+    return fa / (fb - fa) * fc / (fb - fc) + (xc - xa) / (xb - xa) * fa / (fc - fa) * fb / (
+        fc - fb
+    )
+
+
 def narrowed(
     f: Callable[[float], float], like: Callable[[float], float], near: Point, far: Point
 ) -> tuple[Point, Point]:
@@ -250,34 +258,6 @@ def narrowed(
     if (first[1] > 0.0) == (second[1] > 0.0):
         return near, far
     return (first, second) if first[1] > 0.0 else (second, first)
-
-
-def _interpolated(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
-    """Part of the way from a to b at which to look next."""
-    (xa, fa), (xb, fb), (xc, fc) = a, b, c
-    if fb == fc or fa in (fb, fc):
-        return 0.5
-    xi, phi = (xa - xb) / (xc - xb), (fa - fb) / (fc - fb)
-    if not 1.0 - math.sqrt(1.0 - xi) < phi < math.sqrt(xi):
-        return 0.5
-    return fa / (fb - fa) * fc / (fb - fc) + (xc - xa) / (xb - xa) * fa / (fc - fa) * fb / (
-        fc - fb
-    )
-
-
-# ---- part guards ------------------------------------------------------------------------------
-# Guards that parts bring, and what they reset.
-
-
-_NO_ROWS, _ALL_ROWS = slice(0, 0), slice(None)
-
-
-def guarding(system: Any) -> Iterator[tuple[Part, slice]]:
-    """Parts with guards and the slots of the multipliers they see: constraints, loads, others."""
-    blocks = ((block.part, block.slots) for block in system.layout.blocks)
-    loads = ((part, _NO_ROWS) for part in (*system.loads.actuators, *system.loads.forces))
-    others = ((part, _ALL_ROWS) for part in system.loads.watching)
-    yield from ((part, slots) for part, slots in (*blocks, *loads, *others) if part.guards)
 
 
 class PartGuards:
@@ -355,3 +335,11 @@ class PartGuards:
                 system.k.refresh(x.q, x.v, part.reads)
                 x = part.reset(system.k, x, system.loads.inputs(x, u))._replace(t=x.t)
         return system.reduce(x)
+
+
+def guarding(system: Any) -> Iterator[tuple[Part, slice]]:
+    """Parts with guards and the slots of the multipliers they see: constraints, loads, others."""
+    blocks = ((block.part, block.slots) for block in system.layout.blocks)
+    loads = ((part, _NO_ROWS) for part in (*system.loads.actuators, *system.loads.forces))
+    others = ((part, _ALL_ROWS) for part in system.loads.watching)
+    yield from ((part, slots) for part, slots in (*blocks, *loads, *others) if part.guards)

@@ -1,12 +1,11 @@
 """What happens at one time of a motion, and the list of it."""
 
+from __future__ import annotations
+
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, overload
 
 from mbd_ros.core.state import Array, State
-
-# ---- event ------------------------------------------------------------------------------------
-# What happens at one time of a motion.
 
 
 class Event(NamedTuple):
@@ -33,10 +32,6 @@ class Event(NamedTuple):
     ends_phase: bool = False
 
 
-# ---- event log --------------------------------------------------------------------------------
-# Events of a run.
-
-
 class EventLog(Sequence[Event]):
     """Events in the order of time, a value: one more event makes another log.
 
@@ -52,7 +47,7 @@ class EventLog(Sequence[Event]):
         self._shared = list(events)
         self._count = len(self._shared)
 
-    def after(self, event: Event) -> "EventLog":
+    def after(self, event: Event) -> EventLog:
         """The log with one more event."""
         longer = EventLog.__new__(EventLog)
         is_newest = len(self._shared) == self._count

@@ -1,5 +1,7 @@
 """Steps of a smooth method from event to event: impacts, resets, the mode that follows."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
@@ -19,13 +21,11 @@ from mbd_ros.methods.events.mode_field import Margin, ModeField
 from mbd_ros.methods.events.step_events import StepEvents
 from mbd_ros.methods.integration.stepping import Stepper
 
-# ---- transitions ------------------------------------------------------------------------------
-# From mode to mode: resets, impacts and the mode in which a motion goes on.
-
-
-# Gaps that close with a velocity: impacts, and the rest after infinitely many.
-
 _APPROACH = 1.0e-6  # of the velocity: an approach that shows which way friction pushes
+_MOST = 16  # events that may follow one another within a short time, besides two a switch
+_MOST_BOUNCES = 10_000  # impacts that may: e = 0.999 needs thousands before it is at rest
+_MOST_AT_ONCE = 100  # impacts that may follow one another at one time
+_SHORT = 1.0e-3  # of dt: events this close to one another are counted
 
 
 class Rest(NamedTuple):
@@ -38,108 +38,6 @@ class Rest(NamedTuple):
 
     t: float
     row: int
-
-
-class Impacts:
-    """Impacts of the gaps of one system.
-
-    Args:
-        system: The system.
-        rows: Its exact rows.
-        gaps: Numbers of those that are gaps.
-    """
-
-    def __init__(self, system: System, rows: ExactRows, gaps: Sequence[int]) -> None:
-        self._system, self._rows, self._gaps = system, rows, tuple(gaps)
-        self._level = ImpactMap(system)
-
-    def closed(self, y: State) -> list[int]:
-        """Gaps that are closed to within rounding."""
-        heights, slack = self._rows.heights(y), rounding(y)
-        return [i for i in self._gaps if heights[i] <= slack]
-
-    def hits(self, y: State) -> list[int]:
-        """Gaps that are closed and close further."""
-        closed, slack = self.closed(y), rounding(y)
-        if not closed:
-            return []
-        rate = self._rows.approach(y)
-        return [i for i in closed if rate[i] < -slack]
-
-    def after(self, y: State) -> tuple[State, Impact]:
-        """The state after the impacts of all gaps that are closed, and what they are.
-
-        Raises:
-            SolveError: Nothing can keep a gap from closing further.
-        """
-        rows, closed = self._rows, self.closed(y)
-        mode = tuple(0 if i in closed else 1 for i in range(len(rows.names)))
-        y = rows.onto(y, mode, moves=False)
-        x = self._system.expand(y)
-        found = self._level.impact(x, rows.slots[closed].tolist())
-        return y._replace(v=self._system.reduce(x._replace(v=found.v)).v), found
-
-    def slipping(self, y: State) -> list[int]:
-        """Normals of contacts that are closed and slip."""
-        return self._rows.slipping(y, self.closed(y))
-
-    def without_collision(
-        self, y: State, u: Array | None, slipping: Sequence[int]
-    ) -> tuple[State, Impact]:
-        """The state after friction has jammed contacts that slip, and what does it.
-
-        Where no acceleration is consistent, normal forces grow without bound, and in no time an
-        impulse ends what leads to it: that of an impact with an approach that is nearly none.
-        Nothing is given back. Source: F. Génot, B. Brogliato, Eur. J. Mech. A 18, 1999, sec. 5;
-        D. Stewart, SIAM Review 42, 2000, sec. 3, on the limit of short steps.
-
-        Args:
-            y: State of what is integrated.
-            u: Inputs.
-            slipping: Normals of the contacts that slip.
-
-        Raises:
-            SolveError: No impulse does.
-        """
-        rows, system, closed = self._rows, self._system, self.closed(y)
-        J, _, response = rows.answer(y, u, slipping)
-        x = system.expand(y)
-        approach = -_APPROACH * float(np.linalg.norm(x.v)) * np.linalg.norm(J, axis=1)
-        nudge = np.linalg.lstsq(J.dot(response), approach - J.dot(x.v), rcond=1.0e-13)[0]
-        before = x._replace(v=x.v + response.dot(nudge))
-        found = self._level.impact(before, rows.slots[closed].tolist(), expands=False)
-        after = system.reduce(x._replace(v=found.v))
-        if not system.energy(y._replace(v=after.v)) < system.energy(y):
-            raise SolveError("no impulse without collision ends it")
-        found.p[rows.slots[list(slipping)]] += nudge
-        return y._replace(v=after.v), found
-
-    def rests(self, y: State, u: Array | None, mode: Mode) -> list[Rest]:
-        """Closed gaps that would open by no more than rounding, and when their bounces end.
-
-        A gap that opens with v while its acceleration is -a bounces for 2 v / (a (1 - e)) more,
-        by v^2 / (2 a) at most.
-
-        Args:
-            y: State after an impact.
-            u: Inputs.
-            mode: In which it goes on otherwise.
-        """
-        rows, found = self._rows, list[Rest]()
-        rate, slack = rows.approach(y), rounding(y)
-        leaving = [i for i in self.closed(y) if mode[i] and rate[i] > 0.0]
-        left = rows.rates_left(y, u, mode) if leaving else rate
-        for i in (i for i in leaving if left[i] < 0.0):
-            v, a, e = float(rate[i]), -float(left[i]), float(rows.restitution[i])
-            if e < 1.0 and v * v <= 2.0 * a * slack:
-                found.append(Rest(y.t + 2.0 * v / (a * (1.0 - e)), i))
-        return found
-
-
-# Events that accumulate.
-
-_MOST = 16  # events that may follow one another within a short time, besides two a switch
-_MOST_BOUNCES = 10_000  # impacts that may: e = 0.999 needs thousands before it is at rest
 
 
 class Pace(NamedTuple):
@@ -157,7 +55,7 @@ class Pace(NamedTuple):
 
     def after(
         self, t: float, short: float, switches: int, names: Sequence[str], *, hits: bool
-    ) -> "Pace":
+    ) -> Pace:
         """The pace after one more event.
 
         Args:
@@ -183,175 +81,7 @@ class Pace(NamedTuple):
         return pace
 
 
-_MOST_AT_ONCE = 100  # impacts that may follow one another at one time
-_SHORT = 1.0e-3  # of dt: events this close to one another are counted
-
 Known = tuple[frozenset[int], tuple[Rest, ...], Pace, EventLog]
-
-
-class Transitions:
-    """What happens at events, in the mode of a field; it is written down.
-
-    Args:
-        field: The system in its modes.
-        dt: Step of a fixed-step method, and interval of the output [s].
-
-    Attributes:
-        left: Switches that the motion is just leaving, and guards that were zero just now.
-        rests: Bounces that have not ended.
-        events: What happened so far.
-        ended: Names of the guards that end the phase, at the end of the last step.
-    """
-
-    def __init__(self, field: ModeField, dt: float) -> None:
-        self._field, self._system, self._short = field, field.system, _SHORT * dt
-        self._impacts: Impacts | None = None
-        if field.rows is not None and field.gaps:
-            self._impacts = Impacts(field.system, field.rows, field.gaps)
-        self.forget()
-
-    def forget(self) -> None:
-        """Start anew."""
-        self.ended: tuple[str, ...] = ()
-        self.known = frozenset(), (), Pace(), EventLog()
-
-    @property
-    def known(self) -> Known:
-        """What later events depend on, and those so far."""
-        return self.left, self.rests, self._pace, self.events
-
-    @known.setter
-    def known(self, known: Known) -> None:
-        self.left, self.rests, self._pace, self.events = known
-
-    def happened(self, x: State, u: Array | None, margin: Margin | None) -> State:
-        """The state after an event: impacts, then the mode that begins."""
-        field, before = self._field, x
-        if margin and (ways := field.renamed(x, u, margin)):
-            self.change(ways)
-            return field.onto_rows(x)._replace(mode=field.mode)
-        switch, way = margin or (-1, 0)
-        fired, impact = field.fired(x, u, switch), None
-        if idle := field.idle(x, fired):
-            self.left |= frozenset(idle)
-            fired = [i for i in fired if i not in idle]
-            if switch in idle and not fired:
-                return x
-        if ending := field.ending(fired):
-            self.ended = tuple(field.names[i] for i in ending)
-            return x
-        if fired:
-            x = self.begun(field.inside(field.reset(x, u, fired)), u)
-            self.left |= frozenset(fired)
-        hits = self.hits(x)
-        if hits:
-            x, impact = self._struck(x, u)
-            self.left |= frozenset(fired)
-        elif way and not fired:
-            self.change(field.leaving(x, u, (switch, way)))
-        elif margin and not fired:
-            x = self.decide(x, u, {*field.on, switch, *field.near(x)})
-        x = field.onto_rows(x)._replace(mode=field.mode)
-        names = tuple(field.names[i] for i in sorted({switch, *hits, *fired} - {-1}))
-        if not self.rests:
-            given = (x.t, self._short, len(field.names), names)
-            self._pace = self._pace.after(*given, hits=bool(hits))
-        self._log(names, before, x, impact)
-        return x
-
-    def hits(self, x: State) -> list[int]:
-        """Gaps that are closed and close further."""
-        return [] if self._impacts is None else self._impacts.hits(x)
-
-    def _struck(self, x: State, u: Array | None) -> tuple[State, Impact]:
-        """The state after impacts, in its mode, and what they are together."""
-        impacts, field = self._impacts, self._field
-        assert impacts is not None
-        x, impact = impacts.after(x)
-        for _ in range(_MOST_AT_ONCE):
-            if not impacts.hits(x):
-                break
-            x, more = impacts.after(x)  # a gap that was open by hardly more than rounding
-            impact = Impact(more.v, impact.p + more.p, min(impact.share, more.share))
-        x = self.begun(x, u)
-        rests = impacts.rests(x, u, field.mode)
-        if rests:
-            self.rests = (*self.rests, *rests)
-            self.change({rest.row: 0 for rest in rests})
-            x = self.begun(field.onto_rows(x), u)
-        return x, impact
-
-    def rested(self, x: State) -> State:
-        """The state in which gaps are at rest whose bounces have ended."""
-        over = sorted({rest.row for rest in self.rests if rest.t <= x.t})
-        self.rests = tuple(rest for rest in self.rests if rest.t > x.t)
-        self._log(tuple(self._field.names[i] for i in over), x, x, None)
-        return x
-
-    def _log(
-        self, names: tuple[str, ...], before: State, after: State, impact: Impact | None
-    ) -> None:
-        impulse, share = np.zeros(len(self._system.multiplier_rows)), 1.0
-        if impact is not None:
-            impulse, share = impact.p, impact.share
-        expand = self._system.expand
-        event = Event(after.t, names, expand(before), expand(after), impulse, share)
-        self.events = self.events.after(event)
-
-    def begun(self, x: State, u: Array | None) -> State:
-        """The state with the mode that heights and accelerations say."""
-        field = self._field
-        field.begin(x)
-        self.left = frozenset(field.close(x, u))
-        return self.decide(x, u, field.near(x))
-
-    def decide(self, x: State, u: Array | None, on: Collection[int]) -> State:
-        """The state in the modes in which switches go on, after impulses where friction jams."""
-        try:
-            ways = self.decided(x, u, on)
-        except JammedError:
-            x = self._jammed(x, u)
-            ways = self.decided(x, u, self._field.near(x))
-        self.change(ways)
-        return x._replace(mode=self._field.mode)
-
-    def _jammed(self, x: State, u: Array | None) -> State:
-        """The state after an impulse without collision, at its heights."""
-        field, impacts = self._field, self._impacts
-        assert impacts is not None
-        slipping = impacts.slipping(x)
-        after, impact = impacts.without_collision(x, u, slipping)
-        field.begin(after)
-        self.left = frozenset(field.close(after, u))
-        self._log(tuple(field.names[i] for i in slipping), x, after, impact)
-        return after
-
-    def decided(self, x: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
-        """Modes in which switches go on."""
-        try:
-            return decided(self._field, x, u, on)
-        except SolveError as error:
-            raise type(error)(f"t = {x.t:.9g} s: {error}") from error
-
-    def change(self, ways: dict[int, int]) -> None:
-        """Switch to another mode; switches that are off are being left."""
-        field = self._field
-        field.mode = tuple(ways.get(i, way) for i, way in enumerate(field.mode))
-        self.left |= frozenset(i for i, way in ways.items() if way)
-        self.left -= frozenset(i for i, way in ways.items() if not way)
-
-    def switched(self, x: State) -> State:
-        """The state in another mode, which inputs that jump have begun."""
-        pairs = zip(self._field.names, x.mode, self._field.mode, strict=True)
-        names = tuple(name for name, one, other in pairs if one != other)
-        after = x._replace(mode=self._field.mode)
-        if names:
-            self._log(names, x, after, None)
-        return after
-
-
-# ---- event steps ------------------------------------------------------------------------------
-# Steps of a smooth method from event to event.
 
 
 class EventSteps(Stepper):
@@ -565,3 +295,260 @@ def _same(one: Array | None, other: Array | None) -> bool:
     if one is None or other is None:
         return one is other
     return one.tobytes() == other.tobytes()
+
+
+class Transitions:
+    """What happens at events, in the mode of a field; it is written down.
+
+    Args:
+        field: The system in its modes.
+        dt: Step of a fixed-step method, and interval of the output [s].
+
+    Attributes:
+        left: Switches that the motion is just leaving, and guards that were zero just now.
+        rests: Bounces that have not ended.
+        events: What happened so far.
+        ended: Names of the guards that end the phase, at the end of the last step.
+    """
+
+    def __init__(self, field: ModeField, dt: float) -> None:
+        self._field, self._system, self._short = field, field.system, _SHORT * dt
+        self._impacts: Impacts | None = None
+        if field.rows is not None and field.gaps:
+            self._impacts = Impacts(field.system, field.rows, field.gaps)
+        self.forget()
+
+    def forget(self) -> None:
+        """Start anew."""
+        self.ended: tuple[str, ...] = ()
+        self.known = frozenset(), (), Pace(), EventLog()
+
+    @property
+    def known(self) -> Known:
+        """What later events depend on, and those so far."""
+        return self.left, self.rests, self._pace, self.events
+
+    @known.setter
+    def known(self, known: Known) -> None:
+        self.left, self.rests, self._pace, self.events = known
+
+    def happened(self, x: State, u: Array | None, margin: Margin | None) -> State:
+        """The state after an event: impacts, then the mode that begins."""
+        field, before = self._field, x
+        if margin and (ways := field.renamed(x, u, margin)):
+            self.change(ways)
+            return field.onto_rows(x)._replace(mode=field.mode)
+        switch, way = margin or (-1, 0)
+        fired, impact = field.fired(x, u, switch), None
+        if idle := field.idle(x, fired):
+            self.left |= frozenset(idle)
+            fired = [i for i in fired if i not in idle]
+            if switch in idle and not fired:
+                return x
+        if ending := field.ending(fired):
+            self.ended = tuple(field.names[i] for i in ending)
+            return x
+        if fired:
+            x = self.begun(field.inside(field.reset(x, u, fired)), u)
+            self.left |= frozenset(fired)
+        hits = self.hits(x)
+        if hits:
+            x, impact = self._struck(x, u)
+            self.left |= frozenset(fired)
+        elif way and not fired:
+            self.change(field.leaving(x, u, (switch, way)))
+        elif margin and not fired:
+            x = self.decide(x, u, {*field.on, switch, *field.near(x)})
+        x = field.onto_rows(x)._replace(mode=field.mode)
+        names = tuple(field.names[i] for i in sorted({switch, *hits, *fired} - {-1}))
+        if not self.rests:
+            given = (x.t, self._short, len(field.names), names)
+            self._pace = self._pace.after(*given, hits=bool(hits))
+        self._log(names, before, x, impact)
+        return x
+
+    def hits(self, x: State) -> list[int]:
+        """Gaps that are closed and close further."""
+        return [] if self._impacts is None else self._impacts.hits(x)
+
+    def _struck(self, x: State, u: Array | None) -> tuple[State, Impact]:
+        """The state after impacts, in its mode, and what they are together."""
+        impacts, field = self._impacts, self._field
+        assert impacts is not None
+        x, impact = impacts.after(x)
+        for _ in range(_MOST_AT_ONCE):
+            if not impacts.hits(x):
+                break
+            x, more = impacts.after(x)  # a gap that was open by hardly more than rounding
+            impact = Impact(more.v, impact.p + more.p, min(impact.share, more.share))
+        x = self.begun(x, u)
+        rests = impacts.rests(x, u, field.mode)
+        if rests:
+            self.rests = (*self.rests, *rests)
+            self.change({rest.row: 0 for rest in rests})
+            x = self.begun(field.onto_rows(x), u)
+        return x, impact
+
+    def rested(self, x: State) -> State:
+        """The state in which gaps are at rest whose bounces have ended."""
+        over = sorted({rest.row for rest in self.rests if rest.t <= x.t})
+        self.rests = tuple(rest for rest in self.rests if rest.t > x.t)
+        self._log(tuple(self._field.names[i] for i in over), x, x, None)
+        return x
+
+    def _log(
+        self, names: tuple[str, ...], before: State, after: State, impact: Impact | None
+    ) -> None:
+        impulse, share = np.zeros(len(self._system.multiplier_rows)), 1.0
+        if impact is not None:
+            impulse, share = impact.p, impact.share
+        expand = self._system.expand
+        event = Event(after.t, names, expand(before), expand(after), impulse, share)
+        self.events = self.events.after(event)
+
+    def begun(self, x: State, u: Array | None) -> State:
+        """The state with the mode that heights and accelerations say."""
+        field = self._field
+        field.begin(x)
+        self.left = frozenset(field.close(x, u))
+        return self.decide(x, u, field.near(x))
+
+    def decide(self, x: State, u: Array | None, on: Collection[int]) -> State:
+        """The state in the modes in which switches go on, after impulses where friction jams."""
+        try:
+            ways = self.decided(x, u, on)
+        except JammedError:
+            x = self._jammed(x, u)
+            ways = self.decided(x, u, self._field.near(x))
+        self.change(ways)
+        return x._replace(mode=self._field.mode)
+
+    def _jammed(self, x: State, u: Array | None) -> State:
+        """The state after an impulse without collision, at its heights."""
+        field, impacts = self._field, self._impacts
+        assert impacts is not None
+        slipping = impacts.slipping(x)
+        after, impact = impacts.without_collision(x, u, slipping)
+        field.begin(after)
+        self.left = frozenset(field.close(after, u))
+        self._log(tuple(field.names[i] for i in slipping), x, after, impact)
+        return after
+
+    def decided(self, x: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
+        """Modes in which switches go on."""
+        try:
+            return decided(self._field, x, u, on)
+        except SolveError as error:
+            raise type(error)(f"t = {x.t:.9g} s: {error}") from error
+
+    def change(self, ways: dict[int, int]) -> None:
+        """Switch to another mode; switches that are off are being left."""
+        field = self._field
+        field.mode = tuple(ways.get(i, way) for i, way in enumerate(field.mode))
+        self.left |= frozenset(i for i, way in ways.items() if way)
+        self.left -= frozenset(i for i, way in ways.items() if not way)
+
+    def switched(self, x: State) -> State:
+        """The state in another mode, which inputs that jump have begun."""
+        pairs = zip(self._field.names, x.mode, self._field.mode, strict=True)
+        names = tuple(name for name, one, other in pairs if one != other)
+        after = x._replace(mode=self._field.mode)
+        if names:
+            self._log(names, x, after, None)
+        return after
+
+
+class Impacts:
+    """Impacts of the gaps of one system.
+
+    Args:
+        system: The system.
+        rows: Its exact rows.
+        gaps: Numbers of those that are gaps.
+    """
+
+    def __init__(self, system: System, rows: ExactRows, gaps: Sequence[int]) -> None:
+        self._system, self._rows, self._gaps = system, rows, tuple(gaps)
+        self._level = ImpactMap(system)
+
+    def closed(self, y: State) -> list[int]:
+        """Gaps that are closed to within rounding."""
+        heights, slack = self._rows.heights(y), rounding(y)
+        return [i for i in self._gaps if heights[i] <= slack]
+
+    def hits(self, y: State) -> list[int]:
+        """Gaps that are closed and close further."""
+        closed, slack = self.closed(y), rounding(y)
+        if not closed:
+            return []
+        rate = self._rows.approach(y)
+        return [i for i in closed if rate[i] < -slack]
+
+    def after(self, y: State) -> tuple[State, Impact]:
+        """The state after the impacts of all gaps that are closed, and what they are.
+
+        Raises:
+            SolveError: Nothing can keep a gap from closing further.
+        """
+        rows, closed = self._rows, self.closed(y)
+        mode = tuple(0 if i in closed else 1 for i in range(len(rows.names)))
+        y = rows.onto(y, mode, moves=False)
+        x = self._system.expand(y)
+        found = self._level.impact(x, rows.slots[closed].tolist())
+        return y._replace(v=self._system.reduce(x._replace(v=found.v)).v), found
+
+    def slipping(self, y: State) -> list[int]:
+        """Normals of contacts that are closed and slip."""
+        return self._rows.slipping(y, self.closed(y))
+
+    def without_collision(
+        self, y: State, u: Array | None, slipping: Sequence[int]
+    ) -> tuple[State, Impact]:
+        """The state after friction has jammed contacts that slip, and what does it.
+
+        Where no acceleration is consistent, normal forces grow without bound, and in no time an
+        impulse ends what leads to it: that of an impact with an approach that is nearly none.
+        Nothing is given back. Source: F. Génot, B. Brogliato, Eur. J. Mech. A 18, 1999, sec. 5;
+        D. Stewart, SIAM Review 42, 2000, sec. 3, on the limit of short steps.
+
+        Args:
+            y: State of what is integrated.
+            u: Inputs.
+            slipping: Normals of the contacts that slip.
+
+        Raises:
+            SolveError: No impulse does.
+        """
+        rows, system, closed = self._rows, self._system, self.closed(y)
+        J, _, response = rows.answer(y, u, slipping)
+        x = system.expand(y)
+        approach = -_APPROACH * float(np.linalg.norm(x.v)) * np.linalg.norm(J, axis=1)
+        nudge = np.linalg.lstsq(J.dot(response), approach - J.dot(x.v), rcond=1.0e-13)[0]
+        before = x._replace(v=x.v + response.dot(nudge))
+        found = self._level.impact(before, rows.slots[closed].tolist(), expands=False)
+        after = system.reduce(x._replace(v=found.v))
+        if not system.energy(y._replace(v=after.v)) < system.energy(y):
+            raise SolveError("no impulse without collision ends it")
+        found.p[rows.slots[list(slipping)]] += nudge
+        return y._replace(v=after.v), found
+
+    def rests(self, y: State, u: Array | None, mode: Mode) -> list[Rest]:
+        """Closed gaps that would open by no more than rounding, and when their bounces end.
+
+        A gap that opens with v while its acceleration is -a bounces for 2 v / (a (1 - e)) more,
+        by v^2 / (2 a) at most.
+
+        Args:
+            y: State after an impact.
+            u: Inputs.
+            mode: In which it goes on otherwise.
+        """
+        rows, found = self._rows, list[Rest]()
+        rate, slack = rows.approach(y), rounding(y)
+        leaving = [i for i in self.closed(y) if mode[i] and rate[i] > 0.0]
+        left = rows.rates_left(y, u, mode) if leaving else rate
+        for i in (i for i in leaving if left[i] < 0.0):
+            v, a, e = float(rate[i]), -float(left[i]), float(rows.restitution[i])
+            if e < 1.0 and v * v <= 2.0 * a * slack:
+                found.append(Rest(y.t + 2.0 * v / (a * (1.0 - e)), i))
+        return found

@@ -12,9 +12,8 @@ from mbd_ros.core.optimization.box_qp import exchanged
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import TIE
 from mbd_ros.errors import SolveError
-from mbd_ros.methods.events.mode_field import MOST_SURFACES, ModeField, equivalent_signs, mode_on
-
-# Modes of exact rows and surfaces that begin together.
+from mbd_ros.methods.events.mode_field import ModeField
+from mbd_ros.methods.events.switching_surfaces import MOST_SURFACES, equivalent_signs, mode_on
 
 _SAME = 1.0e-6  # signs that give the same motion
 

@@ -1,5 +1,7 @@
 """Phases of a motion: what holds, what ends them, what is reset then."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
@@ -20,68 +22,65 @@ from mbd_ros.methods.events.crossings import Condition, Crossing
 from mbd_ros.methods.events.event import Event, EventLog
 from mbd_ros.methods.integration.stepping import Stepper
 
-# ---- phase reset ------------------------------------------------------------------------------
-# What happens at once between two phases: an impact, then joints under other names.
-
-
 Slots = NDArray[np.intp]
 _SLACK = 1.0e-9  # of the largest impulse
+_MOST_AT_ONCE = 100  # phases that may follow one another at one time
 
 
-class Relabelling(NamedTuple):
-    """Joints and internal states under other names: q+ = A q + b, v+ = A v, z+ = B z.
-
-    Attributes:
-        q: Indices of some joints in a configuration, shape (n,).
-        v: Their indices in a velocity, shape (n,).
-        A: Shape (n, n).
-        b: [rad or m], shape (n,).
-        z: Indices of some internal states, shape (m,).
-        B: Shape (m, m).
-    """
-
-    q: Slots
-    v: Slots
-    A: Array
-    b: Array
-    z: Slots
-    B: Array
-
-    def after(self, x: State) -> State:
-        """The state under the new names."""
-        q, v, z = x.q.copy(), x.v.copy(), x.z.copy()
-        q[self.q] = self.A.dot(x.q[self.q]) + self.b
-        v[self.v] = self.A.dot(x.v[self.v])
-        z[self.z] = self.B.dot(x.z[self.z])
-        return x._replace(q=q, v=v, z=z)
-
-
-class Demand(NamedTuple):
-    """What impulses of a contact that is held have to keep.
+class Phase(NamedTuple):
+    """What goes on between two events.
 
     Attributes:
-        contact: The contact.
-        crossing: A number that may not be negative.
-        failure: What it means that it is.
+        name: Unique in the scene.
+        exits: What ends it, in the order of the scene: the first one that fires decides.
+        checks: What may not happen in it.
+        demands: What holds where it begins: the checks, and what exits wait for instead.
+        limit: Longest time in it [s], beyond which no guard is waited for; inf without one.
     """
 
+    name: str
+    exits: tuple[Exit, ...]
+    checks: tuple[Check, ...]
+    demands: tuple[Check, ...]
+    limit: float
+
+
+class Exit(NamedTuple):
+    """A way out of a phase.
+
+    Attributes:
+        name: Of its guard, unique in the phase.
+        crossing: The number whose zero ends the phase; None where a time does.
+        direction: 1 where it acts on the way up, -1 on the way down, 0 both ways.
+        condition: Where it acts; None for everywhere.
+        after: Time in the phase after which it acts [s]; None where a crossing does.
+        then: Number of the next phase.
+        reset: What happens at once.
+    """
+
+    name: str
+    crossing: Crossing | None
+    direction: int
+    condition: Condition | None
+    after: float | None
+    then: int
+    reset: PhaseReset
+
+
+class Check(NamedTuple):
+    """A number that stays positive in a phase, or the motion ends with an error.
+
+    Attributes:
+        name: Of its guard.
+        contact: Whose number it is.
+        crossing: The number.
+        failure: What it means that it does not.
+    """
+
+    name: str
     contact: str
     crossing: Crossing
     failure: str
-
-
-class Struck(NamedTuple):
-    """What an impact leaves.
-
-    Attributes:
-        x: State of all joints after it.
-        impulse: One a multiplier of the scene [N·s or N·m·s], shape (m,).
-        share: Of the restitution that was given back.
-    """
-
-    x: State
-    impulse: Array
-    share: float = 1.0
 
 
 class PhaseReset:
@@ -153,90 +152,60 @@ class PhaseReset:
                 raise SolveError(f"t = {x.t:.9g} s, impact: {failure}")
 
 
-def refuse_open(system: System, y: State, where: str) -> None:
-    """Refuse a state after a reset that is off the rows of the phase that begins.
-
-    Args:
-        system: That of the phase.
-        y: State of what it integrates.
-        where: Which guard leads there, for the message.
-
-    Raises:
-        SolveError: Names the row that is most open.
-    """
-    held = system.held
-    if not held.rows:
-        return
-    g = held.residual(y.t, y.q)
-    rate = held.jacobian(y.t, y.q).dot(y.v) + held.rate(y.t, y.q)
-    fastest = 1.0 + float(np.abs(y.v).max(initial=0.0))
-    for size, unit, accepted in ((g, "m or rad", 1.0), (rate, "m/s or rad/s", fastest)):
-        worst = int(np.argmax(np.abs(size)))
-        if not abs(size[worst]) <= ASSEMBLED * accepted:
-            raise SolveError(
-                f"t = {y.t:.9g} s: {where}, whose row {held.rows[worst].name} is "
-                f"{abs(size[worst]):.3g} {unit} open: its reset has to close it"
-            )
-
-
-# ---- phase ------------------------------------------------------------------------------------
-# A phase of a motion: what holds in it, what ends it, and what is reset then.
-
-
-class Exit(NamedTuple):
-    """A way out of a phase.
+class Demand(NamedTuple):
+    """What impulses of a contact that is held have to keep.
 
     Attributes:
-        name: Of its guard, unique in the phase.
-        crossing: The number whose zero ends the phase; None where a time does.
-        direction: 1 where it acts on the way up, -1 on the way down, 0 both ways.
-        condition: Where it acts; None for everywhere.
-        after: Time in the phase after which it acts [s]; None where a crossing does.
-        then: Number of the next phase.
-        reset: What happens at once.
+        contact: The contact.
+        crossing: A number that may not be negative.
+        failure: What it means that it is.
     """
 
-    name: str
-    crossing: Crossing | None
-    direction: int
-    condition: Condition | None
-    after: float | None
-    then: int
-    reset: PhaseReset
-
-
-class Check(NamedTuple):
-    """A number that stays positive in a phase, or the motion ends with an error.
-
-    Attributes:
-        name: Of its guard.
-        contact: Whose number it is.
-        crossing: The number.
-        failure: What it means that it does not.
-    """
-
-    name: str
     contact: str
     crossing: Crossing
     failure: str
 
 
-class Phase(NamedTuple):
-    """What goes on between two events.
+class Struck(NamedTuple):
+    """What an impact leaves.
 
     Attributes:
-        name: Unique in the scene.
-        exits: What ends it, in the order of the scene: the first one that fires decides.
-        checks: What may not happen in it.
-        demands: What holds where it begins: the checks, and what exits wait for instead.
-        limit: Longest time in it [s], beyond which no guard is waited for; inf without one.
+        x: State of all joints after it.
+        impulse: One a multiplier of the scene [N·s or N·m·s], shape (m,).
+        share: Of the restitution that was given back.
     """
 
-    name: str
-    exits: tuple[Exit, ...]
-    checks: tuple[Check, ...]
-    demands: tuple[Check, ...]
-    limit: float
+    x: State
+    impulse: Array
+    share: float = 1.0
+
+
+class Relabelling(NamedTuple):
+    """Joints and internal states under other names: q+ = A q + b, v+ = A v, z+ = B z.
+
+    Attributes:
+        q: Indices of some joints in a configuration, shape (n,).
+        v: Their indices in a velocity, shape (n,).
+        A: Shape (n, n).
+        b: [rad or m], shape (n,).
+        z: Indices of some internal states, shape (m,).
+        B: Shape (m, m).
+    """
+
+    q: Slots
+    v: Slots
+    A: Array
+    b: Array
+    z: Slots
+    B: Array
+
+    def after(self, x: State) -> State:
+        """The state under the new names."""
+        q, v, z = x.q.copy(), x.v.copy(), x.z.copy()
+        q[self.q] = self.A.dot(x.q[self.q]) + self.b
+        v[self.v] = self.A.dot(x.v[self.v])
+        z[self.z] = self.B.dot(x.z[self.z])
+        return x._replace(q=q, v=v, z=z)
 
 
 class PhaseGuards(Part):
@@ -267,20 +236,6 @@ class PhaseGuards(Part):
 def _guard(one: Exit) -> Guard:
     condition = None if one.condition is None else one.condition.holds
     return Guard(one.name, one.direction, condition=condition, ends=True)
-
-
-# ---- phase steps ------------------------------------------------------------------------------
-# Steps from phase to phase.
-
-
-_MOST_AT_ONCE = 100  # phases that may follow one another at one time
-
-
-class _Pair(NamedTuple):
-    """A state as the scene sees it, and as the system of its phase does."""
-
-    outer: State | None = None
-    inner: State | None = None
 
 
 class PhaseSteps(Stepper):
@@ -492,3 +447,36 @@ class PhaseSteps(Stepper):
         x = self.system.outward(self.now, y)
         self._last = _Pair(x, y)
         return x
+
+
+class _Pair(NamedTuple):
+    """A state as the scene sees it, and as the system of its phase does."""
+
+    outer: State | None = None
+    inner: State | None = None
+
+
+def refuse_open(system: System, y: State, where: str) -> None:
+    """Refuse a state after a reset that is off the rows of the phase that begins.
+
+    Args:
+        system: That of the phase.
+        y: State of what it integrates.
+        where: Which guard leads there, for the message.
+
+    Raises:
+        SolveError: Names the row that is most open.
+    """
+    held = system.held
+    if not held.rows:
+        return
+    g = held.residual(y.t, y.q)
+    rate = held.jacobian(y.t, y.q).dot(y.v) + held.rate(y.t, y.q)
+    fastest = 1.0 + float(np.abs(y.v).max(initial=0.0))
+    for size, unit, accepted in ((g, "m or rad", 1.0), (rate, "m/s or rad/s", fastest)):
+        worst = int(np.argmax(np.abs(size)))
+        if not abs(size[worst]) <= ASSEMBLED * accepted:
+            raise SolveError(
+                f"t = {y.t:.9g} s: {where}, whose row {held.rows[worst].name} is "
+                f"{abs(size[worst]):.3g} {unit} open: its reset has to close it"
+            )

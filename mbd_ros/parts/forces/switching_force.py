@@ -11,7 +11,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Unit
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError
-from mbd_ros.methods.events.mode_field import DiscontinuousForce
+from mbd_ros.methods.events.switching_surfaces import DiscontinuousForce
 
 
 class SwitchingForce(DiscontinuousForce):

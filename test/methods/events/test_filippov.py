@@ -16,7 +16,7 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError, SolveError
 from mbd_ros.files.tables.csv import read_table
 from mbd_ros.methods.events.crossings import sign_change
-from mbd_ros.methods.events.mode_field import equivalent_signs, mode_on
+from mbd_ros.methods.events.switching_surfaces import equivalent_signs, mode_on
 from mbd_ros.parts.forces.switching_force import SwitchingForce
 from mbd_ros.parts.integrators.filippov import Filippov
 from mbd_ros.scene.schema import schema

@@ -15,7 +15,7 @@ from places import ROOT
 
 from mbd_ros.core.contracts import Load
 from mbd_ros.methods.control.contract import EffortBox, Reference
-from mbd_ros.methods.events.mode_field import DiscontinuousForce
+from mbd_ros.methods.events.switching_surfaces import DiscontinuousForce
 from mbd_ros.parts.controllers.sliding_mode import SlidingMode
 
 ROBOTS = ROOT / "config/robots"

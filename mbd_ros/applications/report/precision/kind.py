@@ -22,7 +22,7 @@ from mbd_ros.applications.report.precision.rungs import Record, measure
 from mbd_ros.applications.report.precision.text import compose
 from mbd_ros.applications.report.subjects import Subject, failures, is_own, subjects
 from mbd_ros.errors import MbdError
-from mbd_ros.methods.events.mode_field import DiscontinuousForce
+from mbd_ros.methods.events.switching_surfaces import DiscontinuousForce
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 
