@@ -31,7 +31,7 @@ def least_impulses(newton: ConeNewton, seen: Seen, bounds: Bounds, p: Array, uni
     """The impulses of least norm that do what p does; p itself where they are not found.
 
     Args:
-        seen: Its natural map at p.
+        seen: The natural map of the problem at p.
         bounds: What impulses may be.
         p: An answer, shape (m,).
         unit: Of the impulses, shape (m,): the norm is that of unit p.
