@@ -25,7 +25,6 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.reading.part_entries import part_of
 from mbd_ros.scene.reading.part_names import named_entry
-from mbd_ros.scene.runs.simulation import Tell
 from mbd_ros.scene.schema.sections import parts_in
 from mbd_ros.scene.variants import Place, found_place, places_of, set_value, with_numbers
 
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from mbd_ros.compiled.symbols.trace import Traced
 
 T = TypeVar("T")
+Tell = Callable[[str], None]
 _OF_LINKS = ("mass", "com", "inertia")  # numbers that are no arguments of a part
 _KEPT: WeakKeyDictionary[Any, dict[Any, dict[Any, Any]]] = WeakKeyDictionary()
 
