@@ -1,4 +1,18 @@
-"""Smoothing splines with a cut-off in Hz: a low-pass that does not lag."""
+"""Smoothing splines with a cut-off in Hz: a low-pass of a whole recording that does not lag.
+
+The quintic spline s = sum_i c_i b_i that minimizes, over time and over the samples y,
+
+    integral (s - y)^2 + (sqrt 2 - 1) (2 pi cutoff)^-8 (d^4 s / dt^4)^2 dt
+
+passes 1 / (1 + (sqrt 2 - 1) (f / cutoff)^8) of a sine. Knots are uniform, and the fourth
+derivative is taken as a difference of coefficients: these solve (N + stiffness D' D) c = b, whose
+matrix is a band.
+
+Sources: P. H. C. Eilers, B. D. Marx, Stat. Sci. 11, 1996, 89 (penalty on differences);
+    P. Craven, G. Wahba, Numer. Math. 31, 1979, 377 (smoothing splines as low-pass).
+"""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
@@ -10,267 +24,14 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import Array
 from mbd_ros.methods.signals.spline_basis import DEGREE, CellBasis, Wanted, joined, middles, parted
 
-# ---- banded -----------------------------------------------------------------------------------
-# Symmetric equations with a band, all pieces of them at once.
-#
-# scipy does the same, but loading it takes longer than a recording of 100 000 samples. Blocks as
-# wide as the band are coupled each with the next alone: every other one is eliminated, then every
-# other one of those that are left. An entry of all blocks stands in one row of numbers, so that
-# blocks of five are eliminated side by side, not by calls of their own.
-#
-# Source: R. W. Hockney, J. ACM 12, 1965, 95 (odd-even reduction).
-
-
-_FEW = 12  # blocks that are solved at once
-
-
-class Banded:
-    """A x = b, A symmetric and positive definite, prepared for several b.
-
-    Args:
-        band: A in upper banded form: row k - d has the diagonal d above the main one, from column
-            d on; shape (k + 1, n).
-
-    Raises:
-        numpy.linalg.LinAlgError: A is not positive definite.
-    """
-
-    def __init__(self, band: Array) -> None:
-        k, self._n = len(band) - 1, band.shape[1]
-        count = -(-self._n // k)
-        rows = np.zeros((k + 1, count * k))
-        rows[0, self._n :] = 1.0
-        for d in range(k + 1):
-            rows[d, : max(self._n - d, 0)] = band[k - d, d:]
-        diagonal, beside = np.zeros((2, k, k, count))
-        for i in range(k):
-            for d in range(k + 1):
-                j = i + d
-                if j < k:
-                    diagonal[i, j] = diagonal[j, i] = rows[d, i::k]
-                else:
-                    beside[i, j - k] = rows[d, i::k]
-        self._shape = count, k
-        self._blocks = _blocks(diagonal, beside[..., :-1])
-
-    def solve(self, known: Array) -> Array:
-        """Solution for b of shape (n, m), same shape."""
-        (count, k), m = self._shape, known.shape[1]
-        padded = np.zeros((m, count * k))
-        padded[:, : self._n] = known.T
-        by_place = np.ascontiguousarray(padded.reshape(m, count, k).transpose(2, 0, 1))
-        found = self._blocks.solve(by_place)
-        return found.transpose(2, 0, 1).reshape(count * k, m)[: self._n]
-
-
-def _blocks(diagonal: Array, beside: Array) -> "_Halved | _Dense":
-    """Symmetric equations in blocks, each coupled with the next alone.
-
-    Args:
-        diagonal: Blocks of the diagonal, shape (k, k, n).
-        beside: Blocks that couple each with the next, shape (k, k, n - 1).
-    """
-    return (_Dense if diagonal.shape[2] <= _FEW else _Halved)(diagonal, beside)
-
-
-class _Halved:
-    """Every other block stays for the next round."""
-
-    def __init__(self, diagonal: Array, beside: Array) -> None:
-        k, _, n = diagonal.shape
-        self._last = n % 2 == 0  # whether no block follows the last that is eliminated
-        before = np.ascontiguousarray(beside[..., ::2])  # rows of those that stay
-        after = np.zeros((k, k, n // 2))
-        after[..., : (n - 1) // 2] = beside[..., 1::2]
-        self._before, self._after = before, after
-        self._inverse = _inverse(diagonal[..., 1::2])
-        self._from_before = _product("ikn,jkn->ijn", self._inverse, before)
-        self._from_after = _product("ikn,kjn->ijn", self._inverse, after)
-        left = diagonal[..., ::2].copy()
-        left[..., : n // 2] -= _product("ikn,kjn->ijn", before, self._from_before)
-        pushed = _product("kin,kjn->ijn", after, self._from_after)
-        left[..., 1:] -= pushed[..., : left.shape[2] - 1]
-        coupled = -_product("ikn,kjn->ijn", before, self._from_after)
-        self._left = _blocks(left, coupled[..., : left.shape[2] - 1])
-
-    def solve(self, known: Array) -> Array:
-        """Solution for blocks of shape (k, m, n)."""
-        half = known.shape[2] // 2
-        inside = _product("ikn,kmn->imn", self._inverse, known[..., 1::2])
-        right = known[..., ::2].copy()
-        right[..., :half] -= _product("ikn,kmn->imn", self._before, inside)
-        pushed = _product("kin,kmn->imn", self._after, inside)
-        right[..., 1:] -= pushed[..., : right.shape[2] - 1]
-        stayed = self._left.solve(right)
-        inside -= _product("ikn,kmn->imn", self._from_before, stayed[..., :half])
-        following = half - self._last
-        after = self._from_after[..., :following]
-        inside[..., :following] -= _product("ikn,kmn->imn", after, stayed[..., 1:])
-        found = np.empty(known.shape)
-        found[..., ::2], found[..., 1::2] = stayed, inside
-        return found
-
-
-class _Dense:
-    """All at once."""
-
-    def __init__(self, diagonal: Array, beside: Array) -> None:
-        k, _, n = diagonal.shape
-        whole = np.zeros((n, k, n, k))
-        for i in range(n):
-            whole[i, :, i] = diagonal[..., i]
-        for i in range(n - 1):
-            whole[i, :, i + 1], whole[i + 1, :, i] = beside[..., i], beside[..., i].T
-        self._whole = whole.reshape(n * k, n * k)
-        np.linalg.cholesky(self._whole)  # raises
-
-    def solve(self, known: Array) -> Array:
-        """See `_Halved`."""
-        k, m, n = known.shape
-        solved = np.linalg.solve(self._whole, known.transpose(2, 0, 1).reshape(n * k, m))
-        return np.ascontiguousarray(solved.reshape(n, k, m).transpose(1, 2, 0))
-
-
-def _product(places: str, left: Array, right: Array) -> Array:
-    """Products of blocks."""
-    found: Array = np.einsum(places, left, right)
-    return found
-
-
-def _inverse(blocks: Array) -> Array:
-    """Inverses of symmetric blocks, shape (k, k, n), by sweeps.
-
-    Source: J. H. Goodnight, Am. Stat. 33, 1979, 149.
-    """
-    swept = np.ascontiguousarray(blocks)
-    for p in range(len(swept)):
-        pivot = swept[p, p]
-        if not (pivot > 0.0).all():
-            raise np.linalg.LinAlgError("not positive definite")
-        row, column = swept[p] / pivot, swept[:, p].copy()
-        row[p] = 1.0 / pivot
-        column[p] = 0.0
-        swept[:, p] = 0.0
-        swept -= column[:, None] * row
-        swept[p] = row
-    return swept
-
-
-# ---- smoothing equations ----------------------------------------------------------------------
-# Equations of a smoothing spline: sums over samples, and fourth differences that are kept small.
-#
-# (N + stiffness D' D) c = b, D the fourth differences of coefficients
-
-
 ORDER = 4  # of the derivative that is kept small
 _HOLD = 1.0e-12  # share by which the main diagonal grows where rounding took its rank
 _DIFFERENCE = [math.comb(ORDER, j) * (-1.0) ** j for j in range(ORDER + 1)]
-
-
-class SmoothingEquations:
-    """Prepared for several b.
-
-    Args:
-        normal: N in upper banded form, shape (DEGREE + 1, n).
-        stiffness: That of the differences, > 0.
-    """
-
-    def __init__(self, normal: Array, stiffness: float) -> None:
-        self._normal, self._stiffness = normal, stiffness
-        band = normal.copy()
-        for k, diagonal in enumerate(_penalty(band.shape[1])):
-            band[DEGREE - k, k:] += stiffness * diagonal
-        try:
-            self._banded = Banded(band)
-        except np.linalg.LinAlgError:  # a wide gap of many cells: only the penalty holds them
-            band[DEGREE] *= 1.0 + _HOLD
-            self._banded = Banded(band)
-
-    def solve(self, known: Array, refined: bool = False) -> Array:
-        """Solution for b of shape (m, n), same shape.
-
-        Args:
-            known: The b.
-            refined: Take what is left of b as another b. Differences of smooth coefficients are
-                small and known well, a row of D' D times them is not: what stiff equations lose
-                to rounding comes back.
-        """
-        found = self._banded.solve(known.T).T
-        if refined:
-            found = found + self._banded.solve(self._left(known, found).T).T
-        return found
-
-    def _left(self, known: Array, found: Array) -> Array:
-        """What is left of b."""
-        left = known - self._normal[DEGREE] * found
-        for k in range(1, min(DEGREE, found.shape[1] - 1) + 1):
-            diagonal = self._normal[DEGREE - k, k:]
-            left[:, :-k] -= diagonal * found[:, k:]
-            left[:, k:] -= diagonal * found[:, :-k]
-        pulls, n = self._stiffness * np.diff(found, ORDER, axis=1), found.shape[1] - ORDER
-        for j, share in enumerate(_DIFFERENCE):
-            left[:, j : j + n] -= share * pulls
-        return left
-
-
-def _penalty(size: int) -> list[Array]:
-    """Diagonals, from the main one up, of the squares of fourth differences of `size` numbers."""
-    row = _DIFFERENCE
-    diagonals = []
-    for k in range(min(ORDER + 1, size)):
-        diagonal = np.zeros(size - k)
-        for j in range(ORDER + 1 - k):
-            diagonal[j : j + size - ORDER] += row[j] * row[j + k]
-        diagonals.append(diagonal)
-    return diagonals
-
-
-# ---- spline low pass --------------------------------------------------------------------------
-# Low-pass of a whole recording that does not lag: smoothing splines with a cut-off in Hz.
-
-
-# Cells of a recording for cut-offs, those of a low one made of those of a higher one.
-
 CELLS = 8  # polynomial pieces a period of a cut-off at least
 FLATTEST = 0.01  # periods of a cut-off in the recording: a cubic is all that is left by then
 _LEVELS = 3  # octaves of cut-offs for which samples are looked at once
 _MORE = 1.05  # times the cells that there have to be
 _ROUNDING = 1.0e-9  # of an octave
-
-
-class Grid(NamedTuple):
-    """Cells of a recording for a cut-off.
-
-    Attributes:
-        cells: Of the highest cut-off that is looked at together with this one.
-        unit: Of these, as many as there are in one of the lowest.
-        level: This one has cells 2^level times as wide.
-        is_fine: Whether these are narrower than they have to be, so that equations are stiffer.
-    """
-
-    cells: int
-    unit: int
-    level: int
-    is_fine: bool
-
-
-def grids_of(cutoffs: Sequence[float], span: float) -> dict[float, Grid]:
-    """Those of cut-offs from the highest on [Hz], in a recording of so many seconds."""
-    found: dict[float, Grid] = {}
-    periods = {f: max(f * span, FLATTEST) for f in cutoffs}
-    while periods:
-        top = max(periods.values())
-        levels = {f: int(math.log2(top / n) + _ROUNDING) for f, n in periods.items()}
-        own = {f: level for f, level in levels.items() if level <= _LEVELS}
-        unit = 2 ** max(own.values())
-        cells = math.ceil(top * CELLS / unit) * unit
-        for f, level in own.items():
-            is_fine = cells >> level > _MORE * CELLS * periods[f] + 1.0
-            found[f] = Grid(cells, unit, level, is_fine)
-        periods = {f: n for f, n in periods.items() if f not in own}
-    return found
-
-
 FEWEST = 6  # samples in a row: a quintic through them
 HIGHEST = 0.4  # cut-off per sampling rate beyond which nothing is left to smooth
 PERIODS = 14  # of the cut-off until the end of a window is forgotten: exp(-2.7 PERIODS)
@@ -278,66 +39,19 @@ _SPREAD = 64  # cells of the recording at least, in the middle of which signals 
 HALF_POWER = np.sqrt(2.0) - 1.0
 
 
-def response(frequency: Array, cutoff: float) -> Array:
-    """Share of a sine that passes: 1 / (1 + (sqrt 2 - 1) (f / cutoff)^8).
-
-    Args:
-        frequency: f [Hz].
-        cutoff: Frequency of half power [Hz].
-    """
-    squared = np.square(frequency / cutoff)
-    passed: Array = 1.0 / (1.0 + HALF_POWER * np.square(np.square(squared)))
-    return passed
-
-
-def rate_of(times: Array) -> float:
-    """Usual number of samples a second [Hz]."""
-    return 1.0 / float(np.median(np.diff(times)))
-
-
-class Stretch(NamedTuple):
-    """A recording without gaps, of which signals are a window.
-
-    Attributes:
-        begin: Of its first sample [s].
-        end: Of its last one [s].
-        usual: Median of the steps around each sample [s].
-        rate: Usual number of samples a second [Hz].
-    """
-
-    begin: float
-    end: float
-    usual: float
-    rate: float
-
-    @classmethod
-    def of(cls, times: Array, *more: Array) -> "Stretch":
-        """That of its times [s], of pieces that tell it, the first and the last of them among."""
-        pieces = times, *more
-        usual = float(np.median(np.concatenate([np.gradient(piece) for piece in pieces])))
-        steps = np.concatenate([np.diff(piece) for piece in pieces])
-        return cls(float(times[0]), float(pieces[-1][-1]), usual, 1.0 / float(np.median(steps)))
-
-
 class LowPass:
     """What passes signals below cut-offs of their own.
 
-    The quintic spline s that minimizes, over time and over the samples y,
-
-        integral (s - y)^2 + (sqrt 2 - 1) (2 pi cutoff)^-8 (d^4 s / dt^4)^2 dt
-
-    passes `response` without lag, at any rate and with irregular stamps; where a sine ends with
-    the recording, or in a gap, it continues as the cubic that fits best. Cells of a low cut-off
-    are those of a higher one, joined: samples are looked at once for all that are not far apart.
+    The spline passes `response` without lag, at any rate and with irregular stamps; where a sine
+    ends with the recording, or in a gap, it continues as the cubic that fits best. Cells of a low
+    cut-off are those of a higher one, joined: samples are looked at once for all that are not far
+    apart.
 
     Args:
         times: [s], increasing, at least `FEWEST`, shape (n,).
         cutoffs: Frequencies of half power that will be asked for [Hz].
         whole: What the samples are a window of; without it they are the whole. `PERIODS` of the
             cut-off from the ends of a window the result is that of the whole, to rounding.
-
-    Source: P. H. C. Eilers, B. D. Marx, Stat. Sci. 11, 1996, 89 (penalty on differences);
-        P. Craven, G. Wahba, Numer. Math. 31, 1979, 377 (smoothing splines as low-pass).
     """
 
     def __init__(self, times: Array, cutoffs: Array, whole: Stretch | None = None) -> None:
@@ -363,7 +77,7 @@ class LowPass:
             chosen: Those that pass, shape (m,).
             cutoff: That of each that passes, shape (m,); from `HIGHEST` times the rate on the
                 spline passes through the samples.
-            wanted: See `spline_pieces.Wanted`; orders are 0, 1 or 2.
+            wanted: See `Wanted`; orders are 0, 1 or 2.
             rows: The samples that are wanted.
         """
         exact = np.flatnonzero(cutoff >= HIGHEST * self._whole.rate)
@@ -463,6 +177,105 @@ class LowPass:
         return self._equations[cutoff]
 
 
+def grids_of(cutoffs: Sequence[float], span: float) -> dict[float, Grid]:
+    """Those of cut-offs from the highest on [Hz], in a recording of so many seconds."""
+    found: dict[float, Grid] = {}
+    periods = {f: max(f * span, FLATTEST) for f in cutoffs}
+    while periods:
+        top = max(periods.values())
+        levels = {f: int(math.log2(top / n) + _ROUNDING) for f, n in periods.items()}
+        own = {f: level for f, level in levels.items() if level <= _LEVELS}
+        unit = 2 ** max(own.values())
+        cells = math.ceil(top * CELLS / unit) * unit
+        for f, level in own.items():
+            is_fine = cells >> level > _MORE * CELLS * periods[f] + 1.0
+            found[f] = Grid(cells, unit, level, is_fine)
+        periods = {f: n for f, n in periods.items() if f not in own}
+    return found
+
+
+class Grid(NamedTuple):
+    """Cells of a recording for a cut-off.
+
+    Attributes:
+        cells: Of the highest cut-off that is looked at together with this one.
+        unit: Of these, as many as there are in one of the lowest.
+        level: This one has cells 2^level times as wide.
+        is_fine: Whether these are narrower than they have to be, so that equations are stiffer.
+    """
+
+    cells: int
+    unit: int
+    level: int
+    is_fine: bool
+
+
+class SmoothingEquations:
+    """Equations (N + stiffness D' D) c = b of a smoothing spline, prepared for several b.
+
+    N are sums of products of splines over samples, D the fourth differences of coefficients.
+
+    Args:
+        normal: N in upper banded form, shape (DEGREE + 1, n).
+        stiffness: That of the differences, > 0.
+    """
+
+    def __init__(self, normal: Array, stiffness: float) -> None:
+        from scipy.linalg import cholesky_banded  # only where a recording is smoothed
+
+        self._normal, self._stiffness = normal, stiffness
+        band = normal.copy()
+        for k, diagonal in enumerate(_penalty(band.shape[1])):
+            band[DEGREE - k, k:] += stiffness * diagonal
+        try:
+            self._factor: Array = cholesky_banded(band)
+        except np.linalg.LinAlgError:  # a wide gap of many cells: only the penalty holds them
+            band[DEGREE] *= 1.0 + _HOLD
+            self._factor = cholesky_banded(band)
+
+    def solve(self, known: Array, refined: bool = False) -> Array:
+        """Solution for b of shape (m, n), same shape.
+
+        Args:
+            known: The b.
+            refined: Take what is left of b as another b. Differences of smooth coefficients are
+                small and known well, a row of D' D times them is not: what stiff equations lose
+                to rounding comes back.
+        """
+        from scipy.linalg import cho_solve_banded
+
+        factor = self._factor, False
+        found: Array = cho_solve_banded(factor, known.T, check_finite=False).T
+        if refined:
+            left = self._left(known, found)
+            found = found + cho_solve_banded(factor, left.T, check_finite=False).T
+        return found
+
+    def _left(self, known: Array, found: Array) -> Array:
+        """What is left of b."""
+        left = known - self._normal[DEGREE] * found
+        for k in range(1, min(DEGREE, found.shape[1] - 1) + 1):
+            diagonal = self._normal[DEGREE - k, k:]
+            left[:, :-k] -= diagonal * found[:, k:]
+            left[:, k:] -= diagonal * found[:, :-k]
+        pulls, n = self._stiffness * np.diff(found, ORDER, axis=1), found.shape[1] - ORDER
+        for j, share in enumerate(_DIFFERENCE):
+            left[:, j : j + n] -= share * pulls
+        return left
+
+
+def _penalty(size: int) -> list[Array]:
+    """Diagonals, from the main one up, of the squares of fourth differences of `size` numbers."""
+    row = _DIFFERENCE
+    diagonals = []
+    for k in range(min(ORDER + 1, size)):
+        diagonal = np.zeros(size - k)
+        for j in range(ORDER + 1 - k):
+            diagonal[j : j + size - ORDER] += row[j] * row[j + k]
+        diagonals.append(diagonal)
+    return diagonals
+
+
 def _of(wanted: Wanted, signals: NDArray[np.intp]) -> Wanted:
     """What is wanted of some signals, by their place among these."""
     found = []
@@ -471,3 +284,44 @@ def _of(wanted: Wanted, signals: NDArray[np.intp]) -> Wanted:
         if own.any():
             found.append((order, np.searchsorted(signals, columns[own]), target, places[own]))
     return found
+
+
+class Stretch(NamedTuple):
+    """A recording without gaps, of which signals are a window.
+
+    Attributes:
+        begin: Of its first sample [s].
+        end: Of its last one [s].
+        usual: Median of the steps around each sample [s].
+        rate: Usual number of samples a second [Hz].
+    """
+
+    begin: float
+    end: float
+    usual: float
+    rate: float
+
+    @classmethod
+    def of(cls, times: Array, *more: Array) -> Stretch:
+        """That of its times [s], of pieces that tell it, the first and the last of them among."""
+        pieces = times, *more
+        usual = float(np.median(np.concatenate([np.gradient(piece) for piece in pieces])))
+        steps = np.concatenate([np.diff(piece) for piece in pieces])
+        return cls(float(times[0]), float(pieces[-1][-1]), usual, 1.0 / float(np.median(steps)))
+
+
+def response(frequency: Array, cutoff: float) -> Array:
+    """Share of a sine that passes: 1 / (1 + (sqrt 2 - 1) (f / cutoff)^8).
+
+    Args:
+        frequency: f [Hz].
+        cutoff: Frequency of half power [Hz].
+    """
+    squared = np.square(frequency / cutoff)
+    passed: Array = 1.0 / (1.0 + HALF_POWER * np.square(np.square(squared)))
+    return passed
+
+
+def rate_of(times: Array) -> float:
+    """Usual number of samples a second [Hz]."""
+    return 1.0 / float(np.median(np.diff(times)))

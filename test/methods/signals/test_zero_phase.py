@@ -9,13 +9,11 @@ import numpy as np
 import pytest
 from offline import SCENES
 from scipy.interpolate import BSpline, CubicSpline
-from scipy.linalg import solveh_banded
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags.spool import Spool, StampSpool
 from mbd_ros.files.tables.csv import read_table, write_table
-from mbd_ros.methods.signals.smoothing_spline import Banded
 from mbd_ros.methods.signals.spectrum import spectrum
 from mbd_ros.methods.signals.spline_basis import CellBasis, joined, parted
 from mbd_ros.motion.filters import chosen_cutoffs, low_passed, smoothed, zero_phase
@@ -299,24 +297,6 @@ def test_windows_of_a_long_recording_are_smoothed_as_the_whole(monkeypatch, rate
         off = np.abs(ours - theirs).max(axis=0) / np.abs(theirs).max()
         # without noise the cut-off is high, and rounding of a position grows by its square
         assert (off <= np.where(found.cutoff < 20.0, 1e-10, 1e-8)).all()
-
-
-@pytest.mark.parametrize("count", [1, 3, 12, 61, 640, 5000])
-def test_banded_equations_are_solved_as_by_lapack(count):
-    """Squares of a band are positive definite; 1 keeps their condition small."""
-    rng = np.random.default_rng(count)
-    whole = np.zeros((6, count + 5))
-    for row in rng.normal(size=(count, 6)):
-        k = int(rng.integers(0, count))
-        for d in range(6):
-            whole[5 - d, k + d : k + 6] += row[: 6 - d] * row[d:]
-    whole[5] += 1.0
-    known = rng.normal(size=(count + 5, 3))
-    found, expected = Banded(whole).solve(known), solveh_banded(whole, known)
-    assert np.abs(found - expected).max() <= 1e-12 * np.abs(expected).max()
-    whole[5, count // 2] = -1.0
-    with pytest.raises(np.linalg.LinAlgError):
-        Banded(whole)
 
 
 def placed(cells, uneven):
