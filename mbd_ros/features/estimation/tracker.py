@@ -11,7 +11,7 @@ from mbd_ros.features.estimation.faults import InnovationWatch, SensorFaults
 from mbd_ros.methods.estimation.kalman_filter import Filtered, KalmanFilter, smoothed
 from mbd_ros.methods.estimation.process import Belief, Estimator, Measurement, Process, SensorSet
 
-_SAME_TIME = 1.0e-9  # [s] within which two samples are one
+_COINCIDENT = 1.0e-9  # [s] within which two samples are one
 _GAP = 5.0  # times the usual interval: more than that between samples is a gap
 _FORGETTING = 0.1  # share that the newest interval has in the usual one
 _DETERMINED = 4.0  # times its noise: what the others say of a number is less certain than that
@@ -89,7 +89,7 @@ class Tracker:
             SolveError: Equations contradict one another.
             DivergedError: The prediction is no longer finite.
         """
-        if t >= self.belief.t - _SAME_TIME:
+        if t >= self.belief.t - _COINCIDENT:
             self._step(t, values, u)
             return Taken.USED
         if not self._steps or t < self._steps[0].since:
@@ -118,7 +118,7 @@ class Tracker:
         while self._steps[0].t < t - self._memory:
             del self._steps[0]
         dt = max(t - self.belief.t, 0.0)
-        if dt > _SAME_TIME:
+        if dt > _COINCIDENT:
             self._go_on(t, values, u, dt)
         seen = estimator.process.observe(self.belief.x, u)
         values = self._sensors.near(values, seen.y)
@@ -200,23 +200,23 @@ class LagWindow:
 
     def add(self, sample: Filtered, u: Array | None) -> None:
         """Take the newest sample; one at the time of the last one completes that."""
-        if self._samples and sample.belief.t <= self._samples[-1].belief.t + _SAME_TIME:
+        if self._samples and sample.belief.t <= self._samples[-1].belief.t + _COINCIDENT:
             self._samples[-1] = self._samples[-1]._replace(belief=sample.belief)
             self._inputs[-1] = u
-        elif sample.belief.t > self._told + _SAME_TIME:
+        elif sample.belief.t > self._told + _COINCIDENT:
             self._samples.append(sample)
             self._inputs.append(u)
 
     def back_to(self, t: float) -> None:
         """Forget samples after a time [s]: they are taken again."""
-        while self._samples and self._samples[-1].belief.t > t + _SAME_TIME:
+        while self._samples and self._samples[-1].belief.t > t + _COINCIDENT:
             del self._samples[-1], self._inputs[-1]
 
     def due(self) -> list[Delayed]:
         """Estimates of the samples whose lag is over, in the order of time, each once."""
         if not self._samples:
             return []
-        end = self._samples[-1].belief.t - self._lag + _SAME_TIME
+        end = self._samples[-1].belief.t - self._lag + _COINCIDENT
         count = sum(sample.belief.t <= end for sample in self._samples)
         if not count:
             return []

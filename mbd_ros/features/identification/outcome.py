@@ -17,6 +17,7 @@ import yaml
 
 from mbd_ros.core.model.urdf import place_inertias
 from mbd_ros.core.state import Array
+from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, SceneError
 from mbd_ros.features.identification.base_parameters import parameter_name
 from mbd_ros.features.identification.drives import (
@@ -47,7 +48,6 @@ from mbd_ros.scene.variants import with_inertias, with_sections
 FRICTION = ("joint_friction", "gear_friction")  # what is found anew
 _WIDTH = 140  # of lines of YAML
 _MOST_SAMPLES = 200_000  # of the test
-_TINY = 1e-300  # torque that nothing is divided by less of
 _SHOWN = 0.5  # of what the given bodies leave open: data that say more show a parameter
 
 
@@ -308,10 +308,10 @@ def _compared(
 ) -> tuple[dict[str, float], list[TableColumn]]:
     """Shares of all, and of each joint, that the new and the given scene leave."""
     errors, columns = {}, []
-    size = np.maximum(np.sqrt(np.mean(np.square(y), axis=0)), _TINY)
+    size = np.maximum(np.sqrt(np.mean(np.square(y), axis=0)), TINY)
     for who, prediction in zip(("identified", "given"), predictions, strict=True):
         key, off = f"{who}{way}", np.sqrt(np.mean(np.square(prediction - y), axis=0))
-        errors[key] = float(np.linalg.norm(prediction - y) / max(np.linalg.norm(y), _TINY))
+        errors[key] = float(np.linalg.norm(prediction - y) / max(np.linalg.norm(y), TINY))
         columns.append(TableColumn(f"{key.replace(' ', '_')}.rms", off, "N·m or N"))
         columns.append(TableColumn(f"{key.replace(' ', '_')}.share", 100.0 * off / size, "%"))
     return errors, columns

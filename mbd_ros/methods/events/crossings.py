@@ -18,10 +18,7 @@ from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError
 
 _LINE = 1.0e-9  # of the size of points: so near to a line, they are on it
-Point = tuple[float, float]
-"""An argument of a function, and its value there."""
-
-
+Point = tuple[float, float]  # an argument of a function, and its value there
 _WIDTH = 1.0e-4  # of a bracket: for a slope
 _NO_ROWS, _ALL_ROWS = slice(0, 0), slice(None)
 

@@ -25,11 +25,7 @@ from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError
 
 NO_BASIS: Array = np.zeros((0, 0))
-
-
 NO_BASIS.setflags(write=False)
-
-
 _BLOCK = 256  # samples whose Jacobians stay in the cache
 _Poses = dict[int, tuple[Array, Array]]  # joint -> rotations and places in the world
 _CHUNK = 2048  # samples
