@@ -1,4 +1,6 @@
-"""Steps of the explicit Adams methods."""
+"""Explicit Adams methods: steps, and the weights of the accelerations in them."""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Callable
@@ -14,54 +16,8 @@ from mbd_ros.methods.integration.polynomial import integrals
 from mbd_ros.methods.integration.runge_kutta import RK4, RungeKutta, Tableau
 from mbd_ros.methods.integration.stepping import NEAR, Stepper, clip
 
-# ---- adams matrices ---------------------------------------------------------------------------
-# Matrices of the steps of the Adams methods, one for every place of the newest acceleration.
-
-
-def turns(order: int, nv: int, dt: float) -> tuple[Array, list[tuple[Any, ...]]]:
-    """What the steps need in turn, until everything is back in place.
-
-    Returns:
-        B with both places of [q; v]. For each turn: row of the newest acceleration, product with
-        the matrix of the step, B as it reads it, [q; v] that it writes, these two.
-    """
-    B, ages = np.zeros((4 + order, nv)), np.arange(order)
-    position, velocity = adams_weights(order, dt)
-    slots = []
-    for step in range(2 * order):
-        newest, is_even = step % order, step % 2 == 0
-        age = (newest - ages) % order
-        parts = [np.array([[1.0, dt], [0.0, 1.0]]), np.array([position[age], velocity[age]])]
-        before, after = (B[:-2], B[-2:]) if is_even else (B[2:], B[:2])
-        matrix = np.ascontiguousarray(np.hstack(parts if is_even else parts[::-1]))
-        row, (q, v) = B[2 + newest], after
-        slots.append((row, matrix.dot, before, after, q, v))
-    return B, slots
-
-
-def adams_weights(order: int, dt: float) -> tuple[Array, Array]:
-    """Weights of the accelerations by age in the changes of q and v.
-
-    Integrals of the Lagrange polynomials over the step.
-    """
-    velocity, position = integrals(-np.arange(order, dtype=np.float64), 1.0)
-    return dt * dt * position, dt * velocity
-
-
-# ---- adams steps ------------------------------------------------------------------------------
-# Steps of the explicit Adams methods.
-
-
 _new_state = tuple.__new__  # half the time of the constructor of a NamedTuple
 _LAST = 1.0e-6  # of dt: a step that ends this near to `end` must end there
-
-
-def starter(order: int) -> Tableau:
-    """The Runge-Kutta method that takes the first steps.
-
-    Errors of the first steps do not add up: one order less than that of the method will do.
-    """
-    return RK4 if order <= 5 else DOP853
 
 
 class AdamsSteps(Stepper):
@@ -269,3 +225,41 @@ class AdamsSteps(Stepper):
         if self._known >= self._needed:
             head[0], head[1] = after.q, after.v
             self._last, self._ready = None, after
+
+
+def starter(order: int) -> Tableau:
+    """The Runge-Kutta method that takes the first steps.
+
+    Errors of the first steps do not add up: one order less than that of the method will do.
+    """
+    return RK4 if order <= 5 else DOP853
+
+
+def turns(order: int, nv: int, dt: float) -> tuple[Array, list[tuple[Any, ...]]]:
+    """What the steps need in turn, until everything is back in place.
+
+    Returns:
+        B with both places of [q; v]. For each turn: row of the newest acceleration, product with
+        the matrix of the step, B as it reads it, [q; v] that it writes, these two.
+    """
+    B, ages = np.zeros((4 + order, nv)), np.arange(order)
+    position, velocity = adams_weights(order, dt)
+    slots = []
+    for step in range(2 * order):
+        newest, is_even = step % order, step % 2 == 0
+        age = (newest - ages) % order
+        parts = [np.array([[1.0, dt], [0.0, 1.0]]), np.array([position[age], velocity[age]])]
+        before, after = (B[:-2], B[-2:]) if is_even else (B[2:], B[:2])
+        matrix = np.ascontiguousarray(np.hstack(parts if is_even else parts[::-1]))
+        row, (q, v) = B[2 + newest], after
+        slots.append((row, matrix.dot, before, after, q, v))
+    return B, slots
+
+
+def adams_weights(order: int, dt: float) -> tuple[Array, Array]:
+    """Weights of the accelerations by age in the changes of q and v.
+
+    Integrals of the Lagrange polynomials over the step.
+    """
+    velocity, position = integrals(-np.arange(order, dtype=np.float64), 1.0)
+    return dt * dt * position, dt * velocity
