@@ -65,7 +65,11 @@ def batch_of(arguments: argparse.Namespace, options: Mapping[str, Any]) -> Batch
 
 
 def do_batch(
-    batch: Batch, work: Work, worker: Callable[[Mapping[str, Any]], Outcome], say: Say
+    batch: Batch,
+    work: Work,
+    worker: Callable[[Mapping[str, Any]], Outcome],
+    say: Say,
+    check: Callable[[], None] = lambda: None,
 ) -> None:
     """Do one motion here, several in workers, each into a file or folder of its own name.
 
@@ -74,6 +78,7 @@ def do_batch(
         work: Does one of them.
         worker: `do_one` with this `work`, by a name that a worker can import.
         say: Is told the lines of the only motion, or the summary of every motion as they end.
+        check: Refuses what several motions share and none can use, once their places are known.
 
     Raises:
         DataError: Motions that failed, by name, when the others are done; before any is done
@@ -85,10 +90,9 @@ def do_batch(
         work(batch, say)
         return
     call = f"{worker.__module__}:{worker.__name__}"
-    tasks = [
-        WorkerTask(str(motion), call, _argument(batch, motion, out, external))
-        for motion, out, external in _orders(batch)
-    ]
+    orders = _orders(batch)
+    check()
+    tasks = [WorkerTask(str(order[0]), call, _argument(batch, *order)) for order in orders]
     _make_folder(batch.out)
     failed = []
     with open_workers(batch.scheduler, batch.workers) as workers:

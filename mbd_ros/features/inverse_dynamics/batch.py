@@ -13,9 +13,11 @@ from mbd_ros.scene.reader import load_scene
 
 def inverse_batch(batch: Batch, say: Say) -> None:
     """Do all motions; the options are `parts`, `bounds`, `power` and those of the stance."""
-    if len(batch.motions) > 1:
+
+    def check() -> None:
         refuse_unused(load_scene(batch.scene), batch.wrenches)
-    do_batch(batch, _inverse, one, say)
+
+    do_batch(batch, _inverse, one, say, check)
 
 
 def one(argument: Mapping[str, Any]) -> Outcome:
