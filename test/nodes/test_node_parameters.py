@@ -15,7 +15,7 @@ from nodes.joint_stream import ACTIVE
 from places import ROOT
 
 from mbd_ros.cli import main
-from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.loop_watch import ChatterMeter
 from mbd_ros.features.control.reference import ReferenceGenerator
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Tuning
 from mbd_ros.methods.projection.state_projection import StateProjector

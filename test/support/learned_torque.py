@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 
 from mbd_ros.features.identification.learn.onnx_file import onnx_of
-from mbd_ros.features.identification.learn.scales import CURVES, Scales
+from mbd_ros.features.identification.learn.training_samples import CURVES, Scales
 from mbd_ros.methods.learned import About, numbers_of
 from mbd_ros.scene.reading.learned_entries import physics_beside
 

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.loads.fem.elements import HEX_EDGES
-from mbd_ros.features.loads.fem.mesh import Mesh
+from mbd_ros.features.loads.fem.mesh import HEX_EDGES, Mesh
 
 Map = Callable[[Array], Array]
 BOTTOM, TOP = "bottom", "top"

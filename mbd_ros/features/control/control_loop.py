@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
-from mbd_ros.features.control.chatter import ChatterMeter
-from mbd_ros.features.control.loop_watch import LoopWatch
+from mbd_ros.features.control.loop_watch import ChatterMeter, LoopWatch
 from mbd_ros.features.control.reference import ReferenceGenerator
 from mbd_ros.methods.control.contract import Control, Controller, EffortBox, Reference
 from mbd_ros.methods.simulation.safe_command import SafeCommand

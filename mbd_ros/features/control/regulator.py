@@ -1,10 +1,14 @@
 """The linear quadratic regulator along a recorded or predicted motion.
 
 The motion is linearised, x' = A x + B u, at its samples; the cost to go S follows the matrix
-Riccati equation backwards, and the gain is K = R^-1 B' S. At the end of the motion S is that of
-holding the last state for ever, where efforts can. A motion of one phase that repeats has the S
-that repeats with it, S(end) = strike' S(begin) strike, with the derivative `strike` of the state
-after a strike by the one before it.
+Riccati equation backwards,
+
+    -S' = A' S + S A - S B R^-1 B' S + Q,    K = R^-1 B' S
+
+and K is the gain. At the end of the motion S is that of holding the last state for ever, where
+efforts can. A motion of one phase that repeats has the S that repeats with it,
+S(end) = strike' S(begin) strike, with the derivative `strike` of the state after a strike by the
+one before it.
 
 Contacts that a phase holds leave efforts a room before they open or slip; the costs of efforts
 keep to a small share of it.
@@ -12,6 +16,7 @@ keep to a small share of it.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -21,7 +26,6 @@ from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, ModelError, SolveError
-from mbd_ros.features.control.riccati import riccati_backwards, riccati_steady
 from mbd_ros.features.control.tracking_tube import DisturbedMotion, held_room
 from mbd_ros.methods.control.contract import EffortBox
 from mbd_ros.methods.control.tracking_plan import IndependentSlopes, TrackingPlan
@@ -31,6 +35,9 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.phased_systems import build_phased_system
 from mbd_ros.scene.runs.simulation import build_simulation
 
+_STEP = 0.1  # length of a step times the size of the Hamiltonian matrix: errors of 1e-7
+_RESIDUAL = 1.0e-6  # share of the Hamiltonian matrix that the steady equation may leave
+_MOST_STEPS = 100_000
 BEFORE = 4  # samples before the end, from which deviations are followed through the strike
 _STRIKE_STEP = 1.0e-4  # of a deviation
 _LARGEST_GAP = 1.0e-2  # deviation with which a motion counts as one that begins anew
@@ -78,46 +85,6 @@ def regulated(scene: Scene, motion: Recorded, tolerated: Tolerated) -> Regulated
     fastest = float(np.abs(np.linalg.eigvals(A - B @ gain)).max())
     widest = _WIDEST**2 * _unit_level(S, np.diag(Q))
     return Regulated(plan, DisturbedMotion(*given, demands), rests, fastest, widest)
-
-
-class Recorded(NamedTuple):
-    """A motion in what the system integrates, at times [s], with its efforts."""
-
-    times: Array
-    states: list[State]
-    u: Array
-
-
-class Tolerated(NamedTuple):
-    """Deviations that cost as much as one another.
-
-    Attributes:
-        position: [rad or m].
-        velocity: [rad/s or m/s].
-        effort: [N·m or N]; None for the limit of each input, or else its largest in the motion.
-    """
-
-    position: float = 0.1
-    velocity: float = 1.0
-    effort: float | None = None
-
-
-class Regulated(NamedTuple):
-    """A plan, and what a search of its tube needs.
-
-    Attributes:
-        plan: Without a tube.
-        disturbed: Motion beside it.
-        rests: Whether it ends at rest, where it can be held.
-        fastest: Fastest rate of the loop [1/s].
-        widest: Cost to go of deviations that nobody tolerates.
-    """
-
-    plan: TrackingPlan
-    disturbed: DisturbedMotion
-    rests: bool
-    fastest: float
-    widest: float
 
 
 def _system(scene: Scene) -> Any:
@@ -262,6 +229,148 @@ def _names(scene: Scene) -> list[str]:
 def _unit_level(S: Array, costs: Array) -> float:
     """Mean cost to go of one tolerated deviation."""
     return float((np.einsum("nii->ni", S) / costs).mean())
+
+
+class Recorded(NamedTuple):
+    """A motion in what the system integrates, at times [s], with its efforts."""
+
+    times: Array
+    states: list[State]
+    u: Array
+
+
+class Tolerated(NamedTuple):
+    """Deviations that cost as much as one another.
+
+    Attributes:
+        position: [rad or m].
+        velocity: [rad/s or m/s].
+        effort: [N·m or N]; None for the limit of each input, or else its largest in the motion.
+    """
+
+    position: float = 0.1
+    velocity: float = 1.0
+    effort: float | None = None
+
+
+class Regulated(NamedTuple):
+    """A plan, and what a search of its tube needs.
+
+    Attributes:
+        plan: Without a tube.
+        disturbed: Motion beside it.
+        rests: Whether it ends at rest, where it can be held.
+        fastest: Fastest rate of the loop [1/s].
+        widest: Cost to go of deviations that nobody tolerates.
+    """
+
+    plan: TrackingPlan
+    disturbed: DisturbedMotion
+    rests: bool
+    fastest: float
+    widest: float
+
+
+def riccati_backwards(times: Array, A: Array, B: Array, Q: Array, R: Array, S_end: Array) -> Array:
+    """Cost to go of a linear motion, from its end to its begin.
+
+        -S' = A' S + S A - S B R^-1 B' S + Q,   S(end) = S_end
+
+    of x' = A x + B u, straight lines between samples, with the cost x'Q x + u'R u. S = Y X^-1
+    where X and Y follow the linear Hamiltonian system, so that large S need no short steps.
+    Source: H. Kwakernaak, R. Sivan, Linear Optimal Control Systems, 1972, sec. 3.3.
+
+    Args:
+        times: [s], increasing, shape (n,).
+        A: Shape (n, m, m).
+        B: Shape (n, m, k).
+        Q: Cost of states, symmetric, shape (m, m).
+        R: Cost of inputs, symmetric, positive definite, shape (k, k).
+        S_end: Cost of the last state, shape (m, m).
+
+    Returns:
+        S, symmetric, shape (n, m, m).
+
+    Raises:
+        SolveError: It takes too many steps.
+    """
+    scale = _balance(B, Q, R)
+    H = np.stack([_hamiltonian(a, b, Q, R, scale) for a, b in zip(A, B, strict=True)])
+    S = np.empty_like(A)
+    S[-1] = 0.5 * (S_end + S_end.T)
+    m = A.shape[1]
+    for i in range(len(times) - 1, 0, -1):
+        begin = np.concatenate([np.eye(m), S[i] / scale])
+        Z = _carried(begin, H[i], H[i - 1], float(times[i] - times[i - 1]))
+        found = scale * np.linalg.solve(Z[:m].T, Z[m:].T)
+        S[i - 1] = 0.5 * (found + found.T)
+    return S
+
+
+def _balance(B: Array, Q: Array, R: Array) -> float:
+    """Unit of costates in which both parts of the Hamiltonian matrix are of one size."""
+    pushes = np.abs(B @ np.linalg.solve(R, np.swapaxes(B, 1, 2))).max()
+    return math.sqrt(float(np.abs(Q).max() / pushes)) if pushes > 0.0 else 1.0
+
+
+def _hamiltonian(A: Array, B: Array, Q: Array, R: Array, scale: float) -> Array:
+    pushes = B.dot(np.linalg.solve(R, B.T))
+    return np.block([[A, -scale * pushes], [-Q / scale, -A.T]])
+
+
+def _carried(Z: Array, H_late: Array, H_early: Array, length: float) -> Array:
+    """Z' = H Z by the classical Runge-Kutta method, backwards through an interval.
+
+    Raises:
+        SolveError: It takes too many steps.
+    """
+    size = max(np.abs(H_late).sum(axis=1).max(), np.abs(H_early).sum(axis=1).max())
+    count = max(1, math.ceil(length * size / _STEP))
+    if count > _MOST_STEPS:
+        raise SolveError(f"the Riccati equation changes too fast: {count} steps in {length:g} s")
+    h, slope = -length / count, (H_early - H_late) / count
+    m = Z.shape[1]
+    for j in range(count):
+        begin = H_late + j * slope
+        middle, end = begin + 0.5 * slope, begin + slope
+        k1 = begin.dot(Z)
+        k2 = middle.dot(Z + 0.5 * h * k1)
+        k3 = middle.dot(Z + 0.5 * h * k2)
+        k4 = end.dot(Z + h * k3)
+        Z = Z + h / 6.0 * (k1 + 2.0 * (k2 + k3) + k4)
+        Z = Z / np.abs(Z[:m]).max()  # S = Y X^-1 does not depend on the length of Z
+    return Z
+
+
+def riccati_steady(A: Array, B: Array, Q: Array, R: Array) -> Array | None:
+    """The S of A' S + S A - S B R^-1 B' S + Q = 0 that makes the loop stable.
+
+    From the stable subspace of the Hamiltonian matrix. Source: J. E. Potter, SIAM J. Appl. Math.
+    14, 1966, 496-501.
+
+    Args:
+        A: Shape (m, m).
+        B: Shape (m, k).
+        Q: Cost of states, symmetric, shape (m, m).
+        R: Cost of inputs, symmetric, positive definite, shape (k, k).
+
+    Returns:
+        Shape (m, m); None where the inputs cannot make the motion stable.
+    """
+    m, scale = len(A), _balance(B[None], Q, R)
+    H = _hamiltonian(A, B, Q, R, scale)
+    values, vectors = np.linalg.eig(H)
+    stable = vectors[:, np.argsort(values.real)[:m]]
+    try:
+        S = np.real(np.linalg.solve(stable[:m].T, stable[m:].T))
+    except np.linalg.LinAlgError:
+        return None
+    S = 0.5 * scale * (S + S.T)
+    gain = np.linalg.solve(R, B.T.dot(S))
+    left = A.T.dot(S) + S.dot(A) - gain.T.dot(R).dot(gain) + Q
+    is_closed = np.abs(left).max() <= _RESIDUAL * (np.abs(A.T.dot(S)).max() + np.abs(Q).max())
+    is_stable = bool((np.linalg.eigvals(A - B.dot(gain)).real < 0.0).all())
+    return S if is_closed and is_stable and np.linalg.eigvalsh(S)[0] >= 0.0 else None
 
 
 def check_scene(scene: Scene) -> None:

@@ -10,10 +10,16 @@ import numpy as np
 from mbd_ros.compiled.build.compiler import cores
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, FallError, SolveError
-from mbd_ros.features.gait.flows import SceneFamily, flow_of
-from mbd_ros.features.gait.search import Gait, Start, grid_starts, placed_at
+from mbd_ros.features.gait.search import (
+    Gait,
+    SceneFamily,
+    Start,
+    candidates,
+    flow_of,
+    grid_starts,
+    placed_at,
+)
 from mbd_ros.features.gait.task import BasinTask, gait_task
-from mbd_ros.features.gait.travel import candidates
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
 from mbd_ros.jobs.workers.task import Task
 from mbd_ros.methods.sensitivities.simulated_flow import SimulatedFlow

@@ -14,7 +14,6 @@ import numpy as np
 
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import FallError, MbdError, SceneError, SolveError
-from mbd_ros.features.gait.flows import SceneFamily
 from mbd_ros.features.gait.periodic import (
     Passage,
     PeriodicMotion,
@@ -24,7 +23,7 @@ from mbd_ros.features.gait.periodic import (
     multipliers,
     newton,
 )
-from mbd_ros.features.gait.search import Gait
+from mbd_ros.features.gait.search import Gait, SceneFamily
 from mbd_ros.features.gait.task import ContinuationTask
 from mbd_ros.jobs.progress import Say
 from mbd_ros.methods.events.crossings import sign_change

@@ -8,8 +8,7 @@ import numpy as np
 
 from mbd_ros.errors import DataError, ModelError, SceneError
 from mbd_ros.features.gait.continuation import NamedBranch, branch_lines, branches_of, own_value
-from mbd_ros.features.gait.flows import SceneFamily
-from mbd_ros.features.gait.search import Gait, found_gaits
+from mbd_ros.features.gait.search import Gait, SceneFamily, found_gaits
 from mbd_ros.features.gait.tables import (
     BASIN,
     BRANCHES,

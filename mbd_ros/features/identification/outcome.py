@@ -19,7 +19,6 @@ from mbd_ros.core.model.urdf import place_inertias
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, SceneError
-from mbd_ros.features.identification.base_parameters import parameter_name
 from mbd_ros.features.identification.drives import (
     Measured,
     also_of,
@@ -35,7 +34,7 @@ from mbd_ros.features.identification.physical_consistency import (
 )
 from mbd_ros.features.identification.problem import Problem
 from mbd_ros.features.identification.regression import Learned, residual
-from mbd_ros.features.identification.regressor import Column
+from mbd_ros.features.identification.regressor import Column, parameter_name
 from mbd_ros.features.identification.samples import Filter, Piece, grid_step
 from mbd_ros.features.identification.task import Identified
 from mbd_ros.files.output_file import replacing

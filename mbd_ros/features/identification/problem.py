@@ -21,20 +21,18 @@ from mbd_ros.core.model.inertial_parameters import (
 )
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.identification.base_parameters import (
-    BaseParameters,
-    base_parameters,
-    expressions,
-)
 from mbd_ros.features.identification.physical_consistency import known_numbers
 from mbd_ros.features.identification.regressor import (
     OF_SEVERAL,
     TERMS,
+    BaseParameters,
     Column,
     LoopRegressor,
     Regressor,
+    base_parameters,
     candidates,
     columns_of,
+    expressions,
     random_states,
 )
 from mbd_ros.features.identification.samples import (

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import NANOSECOND, Array, Motion, WrenchSamples
 from mbd_ros.errors import DataError
-from mbd_ros.features.identification.base_parameters import BaseParameters
 from mbd_ros.features.identification.least_squares import Joint, solved
+from mbd_ros.features.identification.regressor import BaseParameters
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.derivatives import Derivatives, differentiate
 from mbd_ros.motion.external_loads import read_loads, wrench_at

@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.inverse_dynamics.batch import inverse_batch
+    from mbd_ros.features.inverse_dynamics.job import inverse_batch
     from mbd_ros.motion.batch import batch_of
 
     names = ("parts", "bounds", "power", "stance", "stance_gap", "stance_speed")

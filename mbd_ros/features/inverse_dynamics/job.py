@@ -1,11 +1,12 @@
-"""Inverse dynamics of a recorded motion: `mbd-ros inverse`.
+"""Inverse dynamics of recorded motions: `mbd-ros inverse`.
 
 The torques come from `motion.inverse_solution`. In a result `.effort` is the torque of a joint and
 `.command` what its actuator takes.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -16,19 +17,17 @@ from mbd_ros.core.loads.inputs import command_names
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
-from mbd_ros.features.inverse_dynamics.result import (
-    check_finite,
-    effort_residual,
-    result_metadata,
-)
+from mbd_ros.features.inverse_dynamics.result import check_finite, effort_residual, result_metadata
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table, stamps_of, time_columns
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, watching
+from mbd_ros.motion.batch import Batch, Outcome, do_batch, do_one, task_of
 from mbd_ros.motion.columns import command_columns
 from mbd_ros.motion.derivatives import Derivatives
+from mbd_ros.motion.external_loads import refuse_unused
 from mbd_ros.motion.inverse_solution import (
     Violations,
     loop_topics,
@@ -40,6 +39,7 @@ from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.samples import Task
 from mbd_ros.motion.stance import stance_of
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import load_scene
 
 _SAME_EFFORT = 1e-9  # of the largest effort
 
@@ -253,3 +253,24 @@ def _in_pieces(scene: Scene, task: Task, out: Path, say: Say) -> int | None:
     from mbd_ros.features.inverse_dynamics.bag_stream import stream  # loads rosbags
 
     return stream(scene, task, task.motion, out, say)
+
+
+def inverse_batch(batch: Batch, say: Say) -> None:
+    """Do all motions; the options are `parts`, `bounds`, `power` and those of the stance."""
+
+    def check() -> None:
+        refuse_unused(load_scene(batch.scene), batch.wrenches)
+
+    do_batch(batch, _inverse_of_batch, inverse_in_worker, say, check)
+
+
+def inverse_in_worker(argument: Mapping[str, Any]) -> Outcome:
+    """One motion, in a worker."""
+    return do_one(argument, _inverse_of_batch)
+
+
+def _inverse_of_batch(batch: Batch, say: Say) -> None:
+    kinds = {name: batch.options[name] for name in ("parts", "bounds", "power")}
+    stance = stance_of(*(batch.options[name] for name in ("stance", "stance_gap", "stance_speed")))
+    task = task_of(batch)._replace(**kinds, stance=stance)
+    inverse_to(load_scene(batch.scene), task, batch.out, say)

@@ -1,28 +1,42 @@
-"""Loads on one body that is cut free from its mechanism, and how it moves.
+"""Loads on one body that is cut free from its mechanism, and whether they explain its motion.
 
 Reactions of joints come from the Newton-Euler recursion of the whole mechanism; between links
-that fixed joints tie they follow from what each side needs. Source: R. Featherstone, Rigid Body
-Dynamics Algorithms, 2008, sec. 2.13 to 2.15 and 5.3.
+that fixed joints tie they follow from what each side needs. With the mass m, the mass centre c and
+the inertia I about the mass centre,
+
+    sum F + m g = m (a + alpha x c + omega x (omega x c))
+    sum ((r - c) x F + M) = I alpha + omega x (I omega)
+
+in axes of the body, a the acceleration of its origin. The right-hand side comes from the links of
+the body alone: a load that is missing, in other axes or in other units does not stay hidden.
+Source: R. Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 2.13 to 2.15 and 5.3.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+import math
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.contracts import Load, Wrench
 from mbd_ros.core.kinematics.kinematics import Kinematics
+from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.kinematics.vectors import cross
+from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import BodyLoads
 from mbd_ros.core.model.robot import WORLD, Recipe, Robot
 from mbd_ros.core.model.robot_reader import root_link
 from mbd_ros.core.model.urdf import link_name, parse_urdf
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.rows.constraint import Kind
+from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import ModelError
-from mbd_ros.features.loads.acting_wrenches import Named
 
+CONSTRAINT, CONTACT, FORCE = "constraint", "contact", "force"
+EXTERNAL, MUSCLE = "external wrench", "muscle"
 RESIDUAL = "residual"  # what nothing carries of a free base
 JOINT = "joint"
 _LOCAL = pin.LOCAL
@@ -175,6 +189,22 @@ class FreeBody:
         )
 
 
+class Edge(NamedTuple):
+    """A joint between two links.
+
+    Attributes:
+        name: Of the joint; `world` where a link stands still, `residual` where it moves freely.
+        joint: Its index in the model, 0 where it does not move.
+        parent: Index in the model of the frame of the link before it, 0 for the world.
+        child: The same of the link behind it.
+    """
+
+    name: str
+    joint: int
+    parent: int
+    child: int
+
+
 class BodyLoad(NamedTuple):
     """A load on the body, in its axes.
 
@@ -290,22 +320,6 @@ class TiedLinks:
                 raise ModelError(f"joint '{name}' is none of this body; its joints are {there}")
 
 
-class Edge(NamedTuple):
-    """A joint between two links.
-
-    Attributes:
-        name: Of the joint; `world` where a link stands still, `residual` where it moves freely.
-        joint: Its index in the model, 0 where it does not move.
-        parent: Index in the model of the frame of the link before it, 0 for the world.
-        child: The same of the link behind it.
-    """
-
-    name: str
-    joint: int
-    parent: int
-    child: int
-
-
 def _joints(recipe: Recipe) -> Iterator[tuple[str, str, str]]:
     """Every joint as described, the link before it and that behind it; first the root by itself.
 
@@ -321,3 +335,167 @@ def _joints(recipe: Recipe) -> Iterator[tuple[str, str, str]]:
     for joint in tree.findall("joint"):
         parent, child = (called(link_name(joint, end)) for end in ("parent", "child"))
         yield joint.get("name", ""), parent, child
+
+
+class ActingWrenches:
+    """Wrenches of parts on bodies.
+
+    What acts in joints, such as torques of drives and of couplings, is none of them: it goes
+    through the reactions of joints.
+
+    Args:
+        rows: The rows that multipliers are given for.
+        forces: Force terms.
+        loads: External loads by name.
+        paths: What muscles pull along, by the name of the muscle.
+    """
+
+    def __init__(
+        self,
+        rows: ConstraintRows,
+        forces: Sequence[Load],
+        loads: Mapping[str, ExternalWrench],
+        paths: Mapping[str, Path],
+    ) -> None:
+        self._rows, self._forces = rows, tuple(forces)
+        self._loads, self._paths = dict(loads), dict(paths)
+
+    def at(
+        self,
+        k: Kinematics,
+        x: State,
+        multipliers: Array,
+        loads: Sequence[Array],
+        tensions: Sequence[float],
+    ) -> Iterator[Named]:
+        """The wrenches at a state.
+
+        Args:
+            k: Kinematics there.
+            x: State of all joints.
+            multipliers: Of the rows, shape (m,).
+            loads: One (6,) array [N, N·m] for every external load.
+            tensions: One for every path [N].
+        """
+        for part, mine in zip(self._rows.parts, self._rows.slices, strict=True):
+            kind = CONTACT if part.law.kind is Kind.CONE else CONSTRAINT
+            yield from _named(part.name, kind, part.wrenches(k, x, multipliers[mine]))
+        for force in self._forces:
+            kind = CONTACT if getattr(force, "contact", None) is not None else FORCE
+            yield from _named(force.name, kind, force.wrenches(k, x, NONE))
+        for (name, load), value in zip(self._loads.items(), loads, strict=True):
+            yield from _named(name, EXTERNAL, load.wrenches_of(k, value))
+        free = np.zeros(3)
+        for (name, path), tension in zip(self._paths.items(), tensions, strict=True):
+            pulls = path.pulls(k, x)
+            pulled = (Wrench(p.frame, p.point, p.force * tension, free) for p in pulls)
+            yield from _named(name, MUSCLE, pulled)
+
+
+def _named(
+    name: str, kind: str, wrenches: Iterator[Wrench] | tuple[Wrench, ...]
+) -> Iterator[Named]:
+    return (Named(name, kind, wrench) for wrench in wrenches)
+
+
+class Named(NamedTuple):
+    """A wrench on a body, and whose it is.
+
+    Attributes:
+        name: Of the part.
+        kind: constraint, contact, force, external wrench or muscle.
+    """
+
+    name: str
+    kind: str
+    wrench: Wrench
+
+
+def balance(loads: Sequence[BodyLoad], inertia: Any, motion: BodyMotion) -> Balance:
+    """Whether loads explain the motion of a body.
+
+    Args:
+        loads: In axes of the body.
+        inertia: `pinocchio.Inertia` in the same.
+        motion: In the same.
+    """
+    point, force, moment = (np.array([a[i] for a in loads]).reshape(-1, 3) for i in (2, 3, 4))
+    return balances(point, force, moment, inertia, motion)
+
+
+def balances(
+    point: Array, force: Array, moment: Array, inertia: Any, motion: BodyMotion
+) -> Balance:
+    """The same of many samples.
+
+    Args:
+        point: Where loads act [m], shape (.., loads, 3).
+        force: [N], shape (.., loads, 3).
+        moment: About the points [N·m], shape (.., loads, 3).
+        inertia: `pinocchio.Inertia` of the body.
+        motion: Vectors of shape (.., 3).
+    """
+    inertial, twist = inertial_load(inertia, motion)
+    weight = inertia.mass * motion.gravity
+    arm = point - inertia.lever
+    turning = np.cross(arm, force)
+    gyration = math.sqrt(max(float(np.trace(inertia.inertia)), 0.0) / inertia.mass)
+    size = np.maximum(_largest(arm), gyration)
+    forces = [_largest(force), *(np.linalg.norm(w, axis=-1) for w in (weight, inertial - weight))]
+    moments = [_largest(moment), _largest(turning), np.linalg.norm(twist, axis=-1)]
+    largest = np.maximum(np.max(forces, axis=0), _ratio(np.max(moments, axis=0), size))
+    left = force.sum(axis=-2) + inertial
+    return Balance(left, (moment + turning).sum(axis=-2) + twist, largest, size)
+
+
+def inertial_load(inertia: Any, motion: BodyMotion) -> tuple[Array, Array]:
+    """Weight less what the motion needs: force, and moment about the mass centre.
+
+    Args:
+        inertia: With `mass`, `lever` and `inertia`, as `pinocchio.Inertia` of the body.
+        motion: Its motion, vectors of shape (.., 3).
+
+    Returns:
+        [N] and [N·m], shape (.., 3) each.
+    """
+    turn, spin, c = motion.angular_acceleration, motion.angular_velocity, inertia.lever
+    of_centre = motion.acceleration + np.cross(turn, c) + np.cross(spin, np.cross(spin, c))
+    force: Array = inertia.mass * (motion.gravity - of_centre)
+    moment: Array = -turn @ inertia.inertia - np.cross(spin, spin @ inertia.inertia)
+    return force, moment
+
+
+def _largest(vectors: Array) -> Array:
+    largest: Array = np.linalg.norm(vectors, axis=-1).max(axis=-1, initial=0.0)
+    return largest
+
+
+def _ratio(part: Array, whole: Array) -> Array:
+    """The quotient, 0 where the whole is 0."""
+    part, whole = np.asarray(part), np.asarray(whole)
+    ratio: Array = np.divide(part, whole, out=np.zeros(np.shape(part)), where=whole != 0.0)
+    return ratio
+
+
+class Balance(NamedTuple):
+    """What is left of the equations of a body, and the largest of their terms.
+
+    Attributes:
+        force: Left of the forces [N], shape (.., 3).
+        moment: Left of the moments about the mass centre [N·m], shape (.., 3).
+        largest: Force of the largest term [N], shape (..); a moment counts divided by `size`.
+        size: Length that compares moments with forces: the largest arm of a load about the mass
+            centre, or the radius of gyration of the body where that is more [m], shape (..).
+    """
+
+    force: Array
+    moment: Array
+    largest: Array
+    size: Array
+
+    @property
+    def off(self) -> Array:
+        """What is left as a share of the largest term [-], shape (..); 0 where nothing acts."""
+        turning = _ratio(np.linalg.norm(self.moment, axis=-1), self.size)
+        left = np.maximum(np.linalg.norm(self.force, axis=-1), turning)
+        return _ratio(left, self.largest)

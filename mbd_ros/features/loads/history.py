@@ -1,4 +1,8 @@
-"""Loads on a body over time, a slot each that stays the same, and the instants that matter."""
+"""Loads on a body over time, a slot each that stays the same, and the instants that matter.
+
+They are written in metres or in millimetres; forces are newtons and times seconds in both systems
+of units.
+"""
 
 from __future__ import annotations
 
@@ -11,8 +15,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
-from mbd_ros.features.loads.balance import Balance, balances
-from mbd_ros.features.loads.free_body import BodyLoad, BodyMotion
+from mbd_ros.features.loads.free_body import Balance, BodyLoad, BodyMotion, balances
 
 CHOSEN = "chosen"
 _NOTHING = 1.0e-9  # of the largest load: a peak below it is rounding
@@ -164,3 +167,43 @@ def _row(history: History, time: float) -> int:
             f"--at {time:g}: outside of the motion, accepted: {times[0]:.9g} to {times[-1]:.9g} s"
         )
     return int(np.abs(times - time).argmin())
+
+
+def units_of(name: str) -> Units:
+    """The system of a name.
+
+    Raises:
+        DataError: There is none.
+    """
+    if name not in SYSTEMS:
+        raise DataError(f"--units {name}: accepted: m (N, m, kg, s, Pa) and mm (N, mm, t, s, MPa)")
+    return SYSTEMS[name]
+
+
+class Units(NamedTuple):
+    """A consistent system of units.
+
+    Attributes:
+        name: Of its length.
+        per_metre: Its lengths in a metre.
+        mass: Of its masses.
+        stress: Of its stresses.
+    """
+
+    name: str
+    per_metre: float
+    mass: str
+    stress: str
+
+    @property
+    def moment(self) -> str:
+        """Of its moments."""
+        return f"N·{self.name}"
+
+    @property
+    def acceleration(self) -> str:
+        """Of its accelerations."""
+        return f"{self.name}/s^2"
+
+
+SYSTEMS = {"m": Units("m", 1.0, "kg", "Pa"), "mm": Units("mm", 1000.0, "t", "MPa")}

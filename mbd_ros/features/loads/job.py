@@ -10,11 +10,16 @@ from numpy.typing import NDArray
 from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError, ModelError, SceneError, SolveError
-from mbd_ros.features.loads.acting_wrenches import CONTACT, ActingWrenches, Named
-from mbd_ros.features.loads.balance import inertial_load
-from mbd_ros.features.loads.free_body import BodyLoad, BodyMotion, FreeBody
-from mbd_ros.features.loads.history import History, Instant, in_slots, instants_of
-from mbd_ros.features.loads.units import Units, units_of
+from mbd_ros.features.loads.free_body import (
+    CONTACT,
+    ActingWrenches,
+    BodyLoad,
+    BodyMotion,
+    FreeBody,
+    Named,
+    inertial_load,
+)
+from mbd_ros.features.loads.history import History, Instant, Units, in_slots, instants_of, units_of
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import (

@@ -140,7 +140,7 @@ def _fitted(scene: Scene, source: Source, task: KinematicsTask, say: Say) -> _Fo
     with about(capture.where):
         fit = solver.trial(scene.initial.q, seen)
         if task.smoothness:
-            from mbd_ros.features.markers.smooth_trial import smooth_trial
+            from mbd_ros.features.markers.marker_trial import smooth_trial
 
             fit = smooth_trial(solver.solver, fit, seen, task.smoothness)
         for line in (

@@ -39,7 +39,7 @@ class KinematicsTask:
         coordinates: Joint -> its task.
         begin: First time [s].
         end: Last time [s].
-        smoothness: See `features.markers.smooth_trial`; 0 fits frames alone.
+        smoothness: See `features.markers.marker_trial`; 0 fits frames alone.
         limits: Whether joints keep their limits.
         unit: Of the recorded places; None for that of the file.
         axes: Recorded axis along each axis of the scene, as `x,z,-y`, or `screen`; None: the same.

@@ -116,7 +116,7 @@ def _add_dynamics(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.muscles.batch import muscles_batch
+    from mbd_ros.features.muscles.job import muscles_batch
     from mbd_ros.motion.batch import batch_of
 
     muscles_batch(batch_of(arguments, _options(arguments)), arguments.task, say)

@@ -1,23 +1,18 @@
-"""Forces of muscles in a recorded motion: `mbd-ros muscles`."""
+"""Forces of muscles in recorded motions: `mbd-ros muscles`."""
 
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.muscles.muscle import Muscle
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import DataError
-from mbd_ros.features.muscles.columns import (
-    joined,
-    load_columns,
-    share_columns,
-    together,
-    topics,
-    trial_columns,
-)
+from mbd_ros.features.muscles.muscle_frames import Frames
 from mbd_ros.features.muscles.static_optimization import Shares, StaticOptimization
 from mbd_ros.features.muscles.task import MusclesTask, muscles_task
 from mbd_ros.features.muscles.trial import Shared, shared_trial
@@ -35,13 +30,19 @@ from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads
 from mbd_ros.methods.inverse_dynamics.reserves import CoordinateReserve
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
+from mbd_ros.motion.batch import Batch, Outcome, do_batch, do_one, task_of
+from mbd_ros.motion.columns import body_columns, joint_columns
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.recordings import Source, name_of
 from mbd_ros.motion.result_metadata import metadata_of
 from mbd_ros.motion.samples import Task, loads_of_laboratory, observe_motion
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.scene_summary import coordinate_names
+from mbd_ros.scene.reader import load_scene
 
+OPTIMUM = "muscles"  # stands before the names of what is said of a whole frame
+_AXES = [(kind, axis) for kind in ("force", "moment") for axis in "xyz"]
+_UNITS = {"force": "N", "moment": "N·m"}
 _SHOWN = 5  # frames, coordinates or parts that a line names
 _LACKING = 1.0e-6  # of the largest need: what counts as lacking
 _CHUNK = 256  # frames between two signs of progress
@@ -168,6 +169,46 @@ def run_muscles(
     return Result({MAIN: table}, _metadata(scene, done, options, solver))
 
 
+def measured_activations(
+    path: Path | None, muscles: Sequence[Muscle], stamps: NDArray[np.int64]
+) -> Array | None:
+    """Columns `<muscle>.activation`, linear between their rows, NaN for a muscle without one.
+
+    Args:
+        path: A table; None where nothing was measured.
+        muscles: The muscles.
+        stamps: Of the frames [ns], shape (frames,).
+
+    Raises:
+        DataError: A file that cannot be read, has none of the muscles, values outside 0 .. 1, or
+            does not cover the motion.
+    """
+    if path is None:
+        return None
+    table = read_result(path)[MAIN]
+    known = [i for i, muscle in enumerate(muscles) if f"{muscle.name}.activation" in table]
+    if not known:
+        names = ", ".join(f"{muscle.name}.activation" for muscle in muscles)
+        raise DataError(f"{path}: no column of a muscle, accepted: {names}")
+    at = motion_stamps(table, str(path))
+    if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
+        covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]]) if len(at) else "no"
+        asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
+        raise DataError(f"{path}: activations at {covered} s do not cover the motion at {asked} s")
+    found = np.full((len(stamps), len(muscles)), np.nan)
+    for i in known:
+        values = table[f"{muscles[i].name}.activation"]
+        outside = np.flatnonzero(~((values >= 0.0) & (values <= 1.0)))
+        if len(outside):
+            row = int(outside[0])
+            raise DataError(
+                f"{path}: {muscles[i].name}.activation at {at[row] * NANOSECOND:.6g} s is "
+                f"{values[row]:.6g}, accepted: 0 .. 1"
+            )
+        found[:, i] = np.interp((stamps - at[0]) * NANOSECOND, (at - at[0]) * NANOSECOND, values)
+    return found
+
+
 def _shares(
     solver: StaticOptimization, samples: Observations, wrenches: list[Array], emg: Array | None
 ) -> Iterator[Shares]:
@@ -233,46 +274,6 @@ def _metadata(
     return {**about, "stamps": "recorded"}
 
 
-def measured_activations(
-    path: Path | None, muscles: Sequence[Muscle], stamps: NDArray[np.int64]
-) -> Array | None:
-    """Columns `<muscle>.activation`, linear between their rows, NaN for a muscle without one.
-
-    Args:
-        path: A table; None where nothing was measured.
-        muscles: The muscles.
-        stamps: Of the frames [ns], shape (frames,).
-
-    Raises:
-        DataError: A file that cannot be read, has none of the muscles, values outside 0 .. 1, or
-            does not cover the motion.
-    """
-    if path is None:
-        return None
-    table = read_result(path)[MAIN]
-    known = [i for i, muscle in enumerate(muscles) if f"{muscle.name}.activation" in table]
-    if not known:
-        names = ", ".join(f"{muscle.name}.activation" for muscle in muscles)
-        raise DataError(f"{path}: no column of a muscle, accepted: {names}")
-    at = motion_stamps(table, str(path))
-    if not (len(at) and at[0] <= stamps[0] and stamps[-1] <= at[-1]):
-        covered = " to ".join(f"{t * NANOSECOND:.6g}" for t in at[[0, -1]]) if len(at) else "no"
-        asked = " to ".join(f"{t * NANOSECOND:.6g}" for t in stamps[[0, -1]])
-        raise DataError(f"{path}: activations at {covered} s do not cover the motion at {asked} s")
-    found = np.full((len(stamps), len(muscles)), np.nan)
-    for i in known:
-        values = table[f"{muscles[i].name}.activation"]
-        outside = np.flatnonzero(~((values >= 0.0) & (values <= 1.0)))
-        if len(outside):
-            row = int(outside[0])
-            raise DataError(
-                f"{path}: {muscles[i].name}.activation at {at[row] * NANOSECOND:.6g} s is "
-                f"{values[row]:.6g}, accepted: 0 .. 1"
-            )
-        found[:, i] = np.interp((stamps - at[0]) * NANOSECOND, (at - at[0]) * NANOSECOND, values)
-    return found
-
-
 def summary(
     solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
 ) -> Iterator[str]:
@@ -295,6 +296,11 @@ def summary(
         yield f"not unique in {len(several)} of {len(movable)} frames: {_listed(names)}"
     yield from _reserve_lines(solver, chunks)
     yield from _lacking_lines(solver, samples, chunks)
+
+
+def together(chunks: Sequence[Shares], field: str) -> Array:
+    """A field of all frames."""
+    return np.concatenate([getattr(shares, field) for shares in chunks])
 
 
 def _listed(texts: Sequence[str]) -> str:
@@ -342,3 +348,161 @@ def _lacking_lines(
         time = samples.stamps[row] * NANOSECOND
         texts.append(f"{names[i]} lacks {lacking[row, i]:.4g} at {time:.6g} s")
     yield f"warning: at most: {_listed(texts)}"
+
+
+def muscles_batch(batch: Batch, task_file: Path | None, say: Say) -> None:
+    """Do all motions.
+
+    Args:
+        batch: The motions; its options are keys of the section `muscles` of a task file.
+        task_file: Its section `muscles` says what the options leave out.
+        say: Is told what was done.
+    """
+    options = _batch_options(batch.options, task_file, load_scene(batch.scene))
+    do_batch(batch._replace(options=options), _muscles_of_batch, muscles_in_worker, say)
+
+
+def _batch_options(
+    given: Mapping[str, Any], task_file: Path | None, scene: Scene
+) -> dict[str, Any]:
+    """Options of the command, and else of the task file; checked."""
+    options: dict[str, Any] = {}
+    if task_file is not None:
+        from mbd_ros.scene.task_reader import read_task
+
+        entry = read_task(task_file, scene).entries.get("muscles")
+        if entry is None:
+            raise DataError(f"--task {task_file}: has no section muscles")
+        options = dict(entry)
+        for key in ("emg", "reserves"):  # relative to the task file
+            if isinstance(options.get(key), str):
+                options[key] = str((task_file.parent / options[key]).absolute())
+    options |= given
+    muscles_task(scene, options, "muscles").solver(scene)
+    return options
+
+
+def _muscles_of_batch(batch: Batch, say: Say) -> None:
+    scene = load_scene(batch.scene)
+    asked = muscles_task(scene, batch.options, "muscles")
+    muscles_to(scene, task_of(batch), asked, batch.options, batch.out, say)
+
+
+def muscles_in_worker(argument: Mapping[str, Any]) -> Outcome:
+    """One motion, in a worker."""
+    return do_one(argument, _muscles_of_batch)
+
+
+def share_columns(
+    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
+) -> list[Column]:
+    """Motion, needed efforts, muscles and reserves.
+
+    Args:
+        solver: What shared.
+        samples: The motion.
+        chunks: Its shares, some frames each.
+    """
+    muscles, reserves = solver.muscles, solver.reserves
+    columns = _motion(solver, samples, chunks)
+    frames = [shares.frames for shares in chunks]
+    of_muscles = {
+        ("activation", ""): together(chunks, "activation"),
+        ("force", "N"): together(chunks, "force"),
+        ("max_force", "N"): np.concatenate([each.active for each in frames]),
+        ("length", "m"): np.concatenate([each.length for each in frames]),
+        ("speed", "m/s"): np.concatenate([each.speed for each in frames]),
+    }
+    for (quantity, unit), values in of_muscles.items():
+        pairs = zip(muscles, values.T, strict=True)
+        columns += [Column(f"{part.name}.{quantity}", column, unit) for part, column in pairs]
+    forces = zip(reserves, together(chunks, "reserve").T, strict=True)
+    columns += [Column(f"{part.name}.force", column, part.unit) for part, column in forces]
+    unique = [not movable for shares in chunks for movable in shares.movable]
+    of_frames = {
+        "objective": together(chunks, "objective"),
+        "residual": together(chunks, "residual"),
+        "null_space": together(chunks, "null_space").astype(np.float64),
+        "is_unique": np.array(unique, dtype=np.float64),
+        "is_feasible": together(chunks, "is_feasible").astype(np.float64),
+    }
+    return [*columns, *(Column(f"{OPTIMUM}.{name}", v) for name, v in of_frames.items())]
+
+
+def _motion(
+    solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
+) -> list[Column]:
+    robot, couplings = solver.robot, solver.known.couplings
+    at = IndependentCoordinates(robot, couplings)
+    free = [robot.joint(name) for name in couplings.independent]
+    z, v, a = samples[1:4]
+    columns = joint_columns(free, "position", z[:, at.joint_y])
+    columns += joint_columns(free, "velocity", v[:, at.joint_w])
+    columns += joint_columns(free, "effort", together(chunks, "needed")[:, at.joint_w])
+    columns += joint_columns(free, "lacking", together(chunks, "lacking")[:, at.joint_w])
+    bodies = [(z[:, y], v[:, w], a[:, w]) for y, w in zip(at.body_y, at.body_w, strict=True)]
+    return [*columns, *body_columns(robot, bodies)]
+
+
+def trial_columns(solver: StaticOptimization, shared: Shared) -> list[Column]:
+    """Excitations, and lengths of fibres beside elastic tendons."""
+    pairs = zip(solver.muscles, shared.excitation.T, strict=True)
+    columns = [Column(f"{part.name}.excitation", values) for part, values in pairs]
+    lengths = shared.fiber_length.items()
+    return [*columns, *(Column(f"{name}.fiber_length", v, "m") for name, v in lengths)]
+
+
+def load_columns(
+    loads: JointLoads,
+    asked: MusclesTask,
+    muscles: Sequence[Muscle],
+    found: Sequence[tuple[Array, Array]],
+) -> list[Column]:
+    """Loads of joints, a row a frame.
+
+    Args:
+        loads: What found them.
+        asked: Whose parts are wanted.
+        muscles: In the order of the parts.
+        found: Of each frame the loads of all, and by muscle.
+    """
+    total = np.array([each for each, _ in found])
+    columns: list[Column] = []
+    for row, one in enumerate(loads.joined):
+        frame = {"child": one.link, "parent": one.parent_link, "ground": "world"}[loads.side]
+        columns += _load(f"{one.link}.load", total[:, row], frame)
+        for i, muscle in enumerate(muscles if asked.by_muscle else ()):
+            values = np.array([parts[i, row] for _, parts in found])
+            columns += _load(f"{one.link}.{muscle.name}", values, frame)
+    return columns
+
+
+def _load(name: str, values: Array, frame: str) -> list[Column]:
+    pairs = zip(_AXES, values.T, strict=True)
+    return [Column(f"{name}.{kind}_{a}", v, _UNITS[kind], frame) for (kind, a), v in pairs]
+
+
+def topics(solver: StaticOptimization) -> dict[str, Any]:
+    """Topics of a bag, see `files.bags.bag_writer`: the same as those of the node."""
+    names = [muscle.name for muscle in solver.muscles]
+    fields = {"position": "length", "velocity": "speed", "effort": "force"}
+    of_muscles = {f: {n: f"{n}.{quantity}" for n in names} for f, quantity in fields.items()}
+    found: dict[str, Any] = {
+        "/joint_states": {"position": "position", "velocity": "velocity", "effort": "effort"},
+        "/muscle_forces": of_muscles,
+        "/activations": {"data": [f"{name}.activation" for name in names]},
+    }
+    if solver.reserves:
+        reserves = {part.name: f"{part.name}.force" for part in solver.reserves}
+        found["/reserve_forces"] = {"effort": reserves}
+    return found
+
+
+def joined(chunks: Sequence[Shares]) -> Shares:
+    """Shares of all frames."""
+    frames = [shares.frames for shares in chunks]
+    whole = Frames(*(np.concatenate(each) for each in zip(*frames, strict=True)))
+    names = [field.name for field in fields(Shares) if field.name not in ("frames", "movable")]
+    movable = tuple(one for shares in chunks for one in shares.movable)
+    arrays = {name: together(chunks, name) for name in names}
+    return Shares(frames=whole, movable=movable, **arrays)

@@ -9,7 +9,7 @@ import numpy as np
 from mbd_ros.core.contracts import Actuator
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.loop_watch import ChatterMeter
 from mbd_ros.features.control.reference import ReferenceGenerator
 from mbd_ros.files.plan import read_plan
 from mbd_ros.methods.control.contract import ControlledJoints, Controller

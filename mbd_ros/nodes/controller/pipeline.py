@@ -13,9 +13,8 @@ from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import SolveError
-from mbd_ros.features.control.chatter import ChatterMeter
 from mbd_ros.features.control.control_loop import Command, ControlLoop, Guard
-from mbd_ros.features.control.loop_watch import LoopWatch, LossLimits, rest_responses
+from mbd_ros.features.control.loop_watch import ChatterMeter, LoopWatch, LossLimits, rest_responses
 from mbd_ros.features.control.reference import ReferenceGenerator, ReferenceMap, Selection
 from mbd_ros.features.control.trajectory import ReferenceTrajectory, TargetError
 from mbd_ros.methods.control.contract import Reference

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.loop_watch import ChatterMeter
 
 
 @pytest.mark.parametrize("frequency", [2.0, 20.0, 300.0])

@@ -10,8 +10,8 @@ from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
 from mbd_ros.errors import SolveError
-from mbd_ros.features.control.chatter import ChatterMeter
 from mbd_ros.features.control.control_loop import ControlLoop, Guard
+from mbd_ros.features.control.loop_watch import ChatterMeter
 from mbd_ros.features.control.reference import ReferenceGenerator, ReferenceMap
 from mbd_ros.features.control.trajectory import TargetError
 from mbd_ros.methods.control.contract import Control, ControlledJoints, Controller, EffortBox

@@ -12,8 +12,7 @@ from mbd_ros import load_scene
 from mbd_ros.cli import main
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, ModelError
-from mbd_ros.features.control.regulator import recorded
-from mbd_ros.features.control.riccati import riccati_backwards, riccati_steady
+from mbd_ros.features.control.regulator import recorded, riccati_backwards, riccati_steady
 from mbd_ros.files.plan import read_plan
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.methods.control.contract import EffortBox, Reference

@@ -8,9 +8,9 @@ import pytest
 from places import ROOT
 
 from mbd_ros.api import load_scene
-from mbd_ros.features.control.chatter import ChatterMeter
 from mbd_ros.features.control.control_loop import ControlLoop, Guard
 from mbd_ros.features.control.loop_watch import (
+    ChatterMeter,
     DelayMeter,
     LoopWatch,
     LossLimits,

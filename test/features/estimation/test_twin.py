@@ -7,8 +7,8 @@ import pytest
 
 from mbd_ros import load_scene
 from mbd_ros.cli import main
-from mbd_ros.features.estimation.determination import Determinations
 from mbd_ros.features.estimation.faults import Cusum
+from mbd_ros.features.estimation.state_reconstruction import Determinations
 from mbd_ros.files.table import read_result
 
 

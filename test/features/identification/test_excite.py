@@ -8,8 +8,7 @@ import yaml
 from mbd_ros.api import load_scene, scene_from
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.features.identification.excite.excitation import Fourier
-from mbd_ros.features.identification.excite.job import excite
+from mbd_ros.features.identification.excite.job import Fourier, excite
 from mbd_ros.files.bags.bag_reader import raw_messages, topic_types
 from mbd_ros.files.bags.bag_types import from_cdr
 

@@ -16,9 +16,13 @@ from mbd_ros.core.model.inertial_parameters import (
 )
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.errors import DataError
-from mbd_ros.features.identification.base_parameters import base_parameters, expressions
 from mbd_ros.features.identification.job import identify
-from mbd_ros.features.identification.regressor import Regressor, random_states
+from mbd_ros.features.identification.regressor import (
+    Regressor,
+    base_parameters,
+    expressions,
+    random_states,
+)
 from mbd_ros.motion.recordings import read_motion
 
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")

@@ -13,12 +13,11 @@ from solids import box, cylinder, tube, write_mesh
 import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.features.loads.fem.elements import KINDS, mass_of, nodal_forces
 from mbd_ros.features.loads.fem.finite_elements import MeshTask, body_of, write_body
-from mbd_ros.features.loads.fem.mesh import read_mesh
+from mbd_ros.features.loads.fem.mesh import KINDS, mass_of, nodal_forces, read_mesh
 from mbd_ros.features.loads.fem.model import centre_field
+from mbd_ros.features.loads.history import SYSTEMS
 from mbd_ros.features.loads.job import LoadsTask, run_loads
-from mbd_ros.features.loads.units import SYSTEMS
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.motion.samples import Task
 

@@ -12,9 +12,7 @@ import mbd_ros as mbd
 from mbd_ros.core.contracts import Wrench
 from mbd_ros.core.state import State
 from mbd_ros.errors import DataError, MbdError, ModelError, SceneError
-from mbd_ros.features.loads.acting_wrenches import Named
-from mbd_ros.features.loads.balance import balance
-from mbd_ros.features.loads.free_body import FreeBody
+from mbd_ros.features.loads.free_body import FreeBody, Named, balance
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.scene.schema.locate import embedded_scenes
 

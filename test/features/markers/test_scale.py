@@ -10,8 +10,7 @@ import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.errors import DataError, SceneError
-from mbd_ros.features.markers.scale.job import scaled
-from mbd_ros.features.markers.scale.scaled_scene import ScaledUrdf
+from mbd_ros.features.markers.scale.job import ScaledUrdf, scaled
 from mbd_ros.features.markers.scale.task import Measurement, ScaleTask
 from mbd_ros.files.table import Column, Result, Table
 

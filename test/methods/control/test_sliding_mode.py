@@ -8,7 +8,7 @@ from scipy.integrate import solve_ivp
 
 from mbd_ros.core.contracts import Load
 from mbd_ros.core.state import State
-from mbd_ros.features.control.chatter import ChatterMeter
+from mbd_ros.features.control.loop_watch import ChatterMeter
 from mbd_ros.methods.control.contract import EffortBox, Reference
 from mbd_ros.methods.control.sliding_mode import (
     LAWS,

@@ -8,9 +8,9 @@ import numpy as np
 from mbd_ros.api import Scene, load_scene
 from mbd_ros.applications.demo.summary import Check
 from mbd_ros.core.state import Array, State
-from mbd_ros.features.estimation.determination import Determinations
 from mbd_ros.features.estimation.estimation import EFFORTS, Estimation, estimation_of, made_ready
 from mbd_ros.features.estimation.faults import FaultNaming
+from mbd_ros.features.estimation.state_reconstruction import Determinations
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
 from mbd_ros.files.table import Column, Table

@@ -99,7 +99,8 @@ def _frozen(words: list[str], accepted: Collection[str]) -> tuple[str, list[str]
 
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
-    from mbd_ros.features.identification.learn.report import compare_to, learn_to
+    from mbd_ros.features.identification.learn.comparison import compare_to
+    from mbd_ros.features.identification.learn.job import learn_to
     from mbd_ros.features.identification.learn.task import FREEZE, Task
     from mbd_ros.scene.reader import load_scene
 

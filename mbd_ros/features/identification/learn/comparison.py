@@ -11,6 +11,8 @@ All of them see the same seconds and are asked for the efforts, as measured, of 
 """
 
 from collections.abc import Callable, Iterator, Sequence
+from io import BytesIO
+from pathlib import Path
 
 import numpy as np
 
@@ -18,18 +20,25 @@ from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.features.identification.job import run_identify
-from mbd_ros.features.identification.learn.cross_validation import blocks_of, trusted
-from mbd_ros.features.identification.learn.fitting import INFORMED, MOST, fit
-from mbd_ros.features.identification.learn.job import prediction, without_model
-from mbd_ros.features.identification.learn.recordings import (
+from mbd_ros.features.identification.learn.fitting import (
     FEWEST,
+    INFORMED,
+    MOST,
     Recordings,
     first_seconds,
+    fit,
     share_of,
     thinned,
 )
-from mbd_ros.features.identification.learn.scales import Samples, Scales
+from mbd_ros.features.identification.learn.job import prediction, refuse_sources, without_model
 from mbd_ros.features.identification.learn.task import Task
+from mbd_ros.features.identification.learn.training_samples import (
+    Samples,
+    Scales,
+    blocks_of,
+    trusted,
+)
+from mbd_ros.features.identification.outcome import csv, write_files
 from mbd_ros.features.identification.regressor import limits_of
 from mbd_ros.features.identification.samples import Recorded, split
 from mbd_ros.features.identification.task import Task as IdentifyTask
@@ -38,6 +47,7 @@ from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
 
 WAYS = ("physics", "identified", "black box", "residual", "physics-informed")
+_MARKS = ("s", "D", "o", "^", "v")  # of the ways in the picture
 SECONDS = (0.5, 1.0, 2.0, 3.0, 5.0, 10.0)
 _LEAST_SHARE = 0.1  # of a recording: identification takes no less
 _RIDGE = 1.0e-2  # of the size of a column: friction of few samples stays small
@@ -46,6 +56,42 @@ _WIDE = 1.5  # times the usual velocity and acceleration: states of which nothin
 _MORE = 2  # times the steps of a residual: a black box has more to learn
 Torque = Callable[[Samples], Array]
 Asked = Callable[[Scales, np.random.Generator], tuple[Samples, Array]]
+
+
+def compare_to(scene: Scene, task: Task, folder: Path, seeds: int, say: Say) -> None:
+    """Write `comparison.csv`, `runs.csv` and `comparison.png`; all, or none."""
+    if not 1 <= seeds <= 100:
+        raise DataError(f"--seeds {seeds}: accepted are 1 .. 100")
+    refuse_sources(folder, task, None)
+    runs, summary = compare(scene, task, range(task.seed, task.seed + seeds), say)
+    files = {
+        "comparison.csv": csv(summary),
+        "runs.csv": csv(runs),
+        "comparison.png": picture(summary),
+    }
+    write_files(folder, files, say)
+
+
+def picture(summary: Table) -> bytes:
+    """Error over seconds of each way, the seeds as bars."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(7.0, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    for way, mark in zip(WAYS, _MARKS, strict=True):
+        own = summary["way"] == way
+        mean, least, most = (summary[name][own] for name in ("mean", "least", "largest"))
+        bars = (mean - least, most - mean)
+        axes.errorbar(summary["seconds"][own], mean, bars, marker=mark, capsize=3, label=way)
+    axes.set(xscale="log", yscale="log", xlabel="learned from [s]")
+    axes.set_ylabel("error on what comes last [% of the torque]")
+    axes.grid(visible=True, which="both", alpha=0.3)
+    axes.legend()
+    target = BytesIO()
+    figure.savefig(target, format="png", dpi=110)
+    return target.getvalue()
 
 
 def compare(scene: Scene, task: Task, seeds: Sequence[int], say: Say) -> tuple[Table, Table]:

@@ -1,30 +1,48 @@
-"""Learning of what the equations of motion leave of measured torques: `mbd-ros learn`."""
+"""Learning of what the equations of motion leave of measured torques: `mbd-ros learn`.
 
-from collections.abc import Sequence
+The folder of a model holds the network (ONNX), its weights, from which learning goes on, and the
+scene that loads it.
+"""
+
+import io
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
+import yaml
 
 from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError, MbdError
+from mbd_ros.errors import DataError, MbdError, ModelError, SceneError
 from mbd_ros.features.identification.job import run_identify
-from mbd_ros.features.identification.learn.fitting import fit, require_torch
-from mbd_ros.features.identification.learn.linear_corrections import Columns
+from mbd_ros.features.identification.learn.fitting import (
+    FEWEST,
+    Recordings,
+    fit,
+    require_torch,
+    share_of,
+)
+from mbd_ros.features.identification.learn.linear_corrections import Columns, Known
 from mbd_ros.features.identification.learn.onnx_file import onnx_of
-from mbd_ros.features.identification.learn.recordings import FEWEST, Recordings, share_of
-from mbd_ros.features.identification.learn.scales import Samples
 from mbd_ros.features.identification.learn.task import FREEZE, Learned, Outcome, Task
-from mbd_ros.features.identification.outcome import description_of
+from mbd_ros.features.identification.learn.training_samples import Samples, Scales
+from mbd_ros.features.identification.outcome import csv, description_of, scene_text, write_files
 from mbd_ros.features.identification.samples import split
 from mbd_ros.features.identification.task import Task as IdentifyTask
 from mbd_ros.features.identification.task import keep_remarks
+from mbd_ros.files.output_file import refuse_overwriting
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.jobs.progress import Say, Watch, share_watch, watching
-from mbd_ros.methods.learned import TrainingRange, numbers_of
+from mbd_ros.methods.learned import TrainingRange, about_of, check_robot, numbers_of
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
+from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.variants import with_sections
+
+MODEL, WEIGHTS, SCENE = "model.onnx", "weights.npz", "scene.yaml"
+_LARGEST = 256_000_000  # bytes of weights
 
 
 def learn(
@@ -160,3 +178,108 @@ def _within_range(model: Learned, samples: Samples) -> Array:
     still = said_by(network, model.weights, samples._replace(a=np.zeros_like(samples.a)))
     inertial = said_by(network, model.weights, samples) - still
     return whole[:, None] * still + places[:, None] * inertial
+
+
+def learn_to(scene: Scene, task: Task, folder: Path, start: Path | None, say: Say) -> None:
+    """Write a model into a folder; all files, or none."""
+    refuse_sources(folder, task, start)
+    if start is not None:
+        model = read_folder(start)
+        task, scene = task._replace(start=model), _as_identified(scene, start, model, say)
+    write_folder(folder, run_learn(scene, task, say), {}, say)
+
+
+def _as_identified(scene: Scene, folder: Path, model: Learned, say: Say) -> Scene:
+    """The scene that a model stands on, where this one is what it was identified from."""
+    said = model.about
+    if not said.given:
+        return scene
+    try:
+        check_robot(str(folder), said._replace(robot=said.given), scene.robot)
+    except ModelError:
+        return scene
+    say(f"{scene.name} as it was identified: {folder / SCENE}")
+    return load_scene(folder / SCENE)
+
+
+def refuse_sources(folder: Path, task: Task, start: Path | None) -> None:
+    """Refuse a folder for results that is read from."""
+    sources: Sequence[object] = (*task.motions, *task.wrenches, start)
+    refuse_overwriting(folder, *(source for source in sources if isinstance(source, Path)))
+
+
+def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: Say) -> None:
+    """Write `model.onnx`, `weights.npz`, `scene.yaml` and tables; all, or none.
+
+    Args:
+        folder: Is made.
+        found: What was learned.
+        more: Other files by name.
+        say: Is told the names.
+
+    Raises:
+        DataError: A place that cannot be written to.
+    """
+    files: dict[str, bytes] = {MODEL: found.content, WEIGHTS: _weights(found.model), **more}
+    try:
+        files["robot.urdf"] = description_of(found.scene).encode()
+        files[SCENE] = _scene(found)
+    except SceneError as error:
+        say(f"no scene.yaml is written: {error}")
+    for name, table in found.tables.items():
+        files[f"{name}.csv"] = csv(table)
+    write_files(folder, files, say)
+
+
+def _weights(model: Learned) -> bytes:
+    arrays = {f"weight.{key}": value for key, value in model.weights.items()}
+    arrays |= {f"scale.{key}": value for key, value in model.scales._asdict().items()}
+    arrays |= {f"known.{key}": value for key, value in model.known._asdict().items()}
+    arrays |= {"trust": model.trust, "numbers": model.numbers}
+    target = io.BytesIO()
+    np.savez_compressed(target, about=np.array(model.about.text()), **arrays)
+    return target.getvalue()
+
+
+def _scene(found: Outcome) -> bytes:
+    """The scene that the network stands on, with the network."""
+    values: dict[str, Any] = yaml.safe_load(scene_text(found.scene, "robot.urdf"))
+    forces = [*(values.get("forces") or []), {"type": "learned_torque", "model": MODEL}]
+    text: str = yaml.safe_dump({**values, "forces": forces}, sort_keys=False, width=120)
+    return text.encode()
+
+
+def read_folder(folder: Path) -> Learned:
+    """The model of a folder, to go on from; reading it runs no code.
+
+    Raises:
+        DataError: It is none, of another version, or damaged; names it.
+    """
+    path = folder / WEIGHTS
+    try:
+        if path.stat().st_size > _LARGEST:
+            raise DataError(f"{path}: more than {_LARGEST} bytes")
+        with np.load(path, allow_pickle=False) as file:
+            arrays = {key: file[key] for key in file.files}
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
+    except (ValueError, EOFError, KeyError, BadZipFile) as error:
+        raise DataError(f"{path}: is damaged, or no file of mbd-ros learn") from error
+    return _learned(path, arrays)
+
+
+def _learned(path: Path, arrays: dict[str, Array]) -> Learned:
+    try:
+        about = about_of(str(path), json.loads(str(arrays["about"])))
+        scales = Scales(*(arrays[f"scale.{key}"] for key in Scales._fields))
+        weights = {
+            key.removeprefix("weight."): value
+            for key, value in arrays.items()
+            if key.startswith("weight.")
+        }
+        known = Known(*(arrays[f"known.{key}"] for key in Known._fields))
+        return Learned(about, scales, weights, arrays["trust"], known, arrays["numbers"])
+    except ModelError as error:
+        raise DataError(str(error)) from error
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(f"{path}: is no file of mbd-ros learn: {error}") from error

@@ -16,9 +16,13 @@ import numpy as np
 
 from mbd_ros.core.model.inertial_parameters import COUNT, moving_bodies, parameters_of
 from mbd_ros.core.state import Array
-from mbd_ros.features.identification.base_parameters import base_parameters
-from mbd_ros.features.identification.learn.scales import FINE_CURVES, Samples, Scales, curves_of
-from mbd_ros.features.identification.regressor import Regressor, random_states
+from mbd_ros.features.identification.learn.training_samples import (
+    FINE_CURVES,
+    Samples,
+    Scales,
+    curves_of,
+)
+from mbd_ros.features.identification.regressor import Regressor, base_parameters, random_states
 from mbd_ros.methods.learned import About
 from mbd_ros.scene.built_scene import Scene
 

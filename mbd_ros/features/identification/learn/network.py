@@ -23,12 +23,12 @@ import numpy as np
 import torch
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.identification.learn.cross_validation import blocks_of
-from mbd_ros.features.identification.learn.scales import (
+from mbd_ros.features.identification.learn.training_samples import (
     CURVES,
     LEAST_INERTIA,
     Samples,
     Scales,
+    blocks_of,
     curves_of,
     usual_energy,
     usual_inertia,

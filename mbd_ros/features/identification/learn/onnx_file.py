@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
-from mbd_ros.features.identification.learn.scales import (
+from mbd_ros.features.identification.learn.training_samples import (
     CURVES,
     LEAST_INERTIA,
     Scales,

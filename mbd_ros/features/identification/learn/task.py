@@ -6,7 +6,7 @@ from typing import NamedTuple
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.features.identification.learn.linear_corrections import Known
-from mbd_ros.features.identification.learn.scales import Scales
+from mbd_ros.features.identification.learn.training_samples import Scales
 from mbd_ros.files.table import Table
 from mbd_ros.methods.learned import About
 from mbd_ros.motion.recordings import Source

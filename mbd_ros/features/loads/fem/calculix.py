@@ -14,7 +14,7 @@ import numpy as np
 
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import DataError
-from mbd_ros.features.loads.fem.elements import KINDS
+from mbd_ros.features.loads.fem.mesh import KINDS
 from mbd_ros.features.loads.fem.model import Attachment, Body, Step, centre_field, load_over_time
 
 _A_LINE = 16  # entries of a line

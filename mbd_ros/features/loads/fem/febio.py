@@ -11,7 +11,7 @@ from xml.sax.saxutils import quoteattr
 import numpy as np
 
 from mbd_ros.core.state import Array
-from mbd_ros.features.loads.fem.elements import KINDS
+from mbd_ros.features.loads.fem.mesh import KINDS
 from mbd_ros.features.loads.fem.model import Attachment, Body, Step, centre_field
 
 _ANCHOR = 1.0e-3  # diagonals of the mesh: size of the element that stands for a rigid body

@@ -5,8 +5,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError
-from mbd_ros.features.loads.fem.elements import mass_of
-from mbd_ros.features.loads.fem.mesh import Mesh, read_mesh
+from mbd_ros.features.loads.fem.mesh import Mesh, mass_of, read_mesh
 from mbd_ros.features.loads.fem.model import (
     COUPLINGS,
     Attachment,
@@ -18,8 +17,7 @@ from mbd_ros.features.loads.fem.model import (
     check_tied,
     step_of,
 )
-from mbd_ros.features.loads.history import History, Instant
-from mbd_ros.features.loads.units import Units
+from mbd_ros.features.loads.history import History, Instant, Units
 from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.progress import Say
 

@@ -13,11 +13,9 @@ from scipy.sparse.csgraph import connected_components
 from mbd_ros.core.kinematics.vectors import cross
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.features.loads.balance import inertial_load
-from mbd_ros.features.loads.fem.elements import MeshMass, nodal_forces
-from mbd_ros.features.loads.fem.mesh import Mesh, Nodes
-from mbd_ros.features.loads.history import History
-from mbd_ros.features.loads.units import Units
+from mbd_ros.features.loads.fem.mesh import Mesh, MeshMass, Nodes, nodal_forces
+from mbd_ros.features.loads.free_body import inertial_load
+from mbd_ros.features.loads.history import History, Units
 
 COUPLINGS = "rigid", "distributing"
 _NOTHING = 1.0e-9  # of the largest load: less is rounding and needs no nodes

@@ -13,9 +13,9 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.robot import child_link
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import MbdError
-from mbd_ros.features.estimation.determination import Determination, Determinations
 from mbd_ros.features.estimation.estimation import Estimation, made_ready
 from mbd_ros.features.estimation.faults import Cusum, FaultNaming, Named
+from mbd_ros.features.estimation.state_reconstruction import Determination, Determinations
 from mbd_ros.features.estimation.tracker import Taken
 from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
 from mbd_ros.nodes.shell.parameters import ParameterError

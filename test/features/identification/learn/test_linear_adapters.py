@@ -5,11 +5,10 @@ import pytest
 from worn_leg import LEG, worn_leg
 
 import mbd_ros as mbd
-from mbd_ros.features.identification.learn.cross_validation import is_better, trusted
+from mbd_ros.features.identification.learn.fitting import Recordings, share_of
 from mbd_ros.features.identification.learn.linear_corrections import Columns, fitted
-from mbd_ros.features.identification.learn.recordings import Recordings, share_of
-from mbd_ros.features.identification.learn.scales import Scales
 from mbd_ros.features.identification.learn.task import Task
+from mbd_ros.features.identification.learn.training_samples import Scales, is_better, trusted
 
 WALK = 1.2, (0.35, 0.5, 0.2), (0.05, -0.5, 0.0)  # s, rad, rad: stride, amplitudes, middles
 RUN = 0.6, (0.5, 0.75, 0.3), (0.1, -0.7, 0.0)
