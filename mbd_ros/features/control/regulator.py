@@ -37,7 +37,7 @@ from mbd_ros.scene.runs.simulation import build_simulation
 
 _STEP = 0.1  # length of a step times the size of the Hamiltonian matrix: errors of 1e-7
 _RESIDUAL = 1.0e-6  # share of the Hamiltonian matrix that the steady equation may leave
-_MOST_STEPS = 100_000
+_MOST_STEPS = 100_000  # between two samples of a motion
 BEFORE = 4  # samples before the end, from which deviations are followed through the strike
 _STRIKE_STEP = 1.0e-4  # of a deviation
 _LARGEST_GAP = 1.0e-2  # deviation with which a motion counts as one that begins anew

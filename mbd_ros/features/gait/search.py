@@ -32,15 +32,12 @@ from mbd_ros.scene.schema.nearest import nearest
 from mbd_ros.scene.variants import with_inertias, with_numbers, with_sections
 
 SLOPE = "slope"
+Start = Mapping[str, float]
+"""Values of `<joint>.position` and `<joint>.velocity`."""
+
 _KEPT = 8  # flows: those of a step of a continuation
 _ASIDE = 1.0e-3  # m: how far a motion is moved to see whether it changes
 _UNCHANGED = 1.0e-7  # change of rates and guards a metre, over the largest entry
-Start = Mapping[str, float]
-
-
-"""Values of `<joint>.position` and `<joint>.velocity`."""
-
-
 _SAME = 1.0e-7  # of the state: two searches that ended in one gait
 
 

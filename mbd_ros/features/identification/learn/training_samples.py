@@ -19,17 +19,14 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 
+Tell = Callable[[float], None]
+"""Is told the share of the work that is done."""
+
 CURVES = (0.02, 0.1, 0.5)  # of the usual velocity: where curves of dry friction bend
 FINE_CURVES = (0.005, 0.01, 0.02, 0.04, 0.1, 0.25, 0.5)  # the same of adapters, which are linear
 LEAST_INERTIA = 1.0e-3  # e, of the usual inertia
 _SLOW = 0.05  # of the usual velocity: where dry friction changes its sign
 _LEAST_SIZE = 1.0e-6  # of the largest size: a joint that rests
-Tell = Callable[[float], None]
-
-
-"""Is told the share of the work that is done."""
-
-
 _LEAST_GAIN = 0.1  # of the square of what is left: a smaller gain is not worth a network
 _STUDENT = {2: 31.8, 3: 6.96, 4: 4.54, 5: 3.75}  # one-sided 1 % points, by number of blocks
 _NORMAL = 3.4  # of more blocks

@@ -20,6 +20,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
 
 Cells = NDArray[np.int64]
+Nodes = NDArray[np.int64]
 _SQUARE = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
 _HEX = np.column_stack((np.tile(_SQUARE, (2, 1)), np.repeat([-1.0, 1.0], 4)))
 HEX_EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)] + [
@@ -27,13 +28,12 @@ HEX_EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4)] + [
 ]
 TET_EDGES = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
 _MIDDLES = np.array([(_HEX[a] + _HEX[b]) / 2.0 for a, b in HEX_EDGES])
-_GAUSS = 1.0 / np.sqrt(3.0)
+_GAUSS = 1.0 / np.sqrt(3.0)  # two points of Gauss in [-1, 1]
 _CUBE = np.array(list(itertools.product((-_GAUSS, _GAUSS), repeat=3)))
-_IN, _OUT = 0.138196601125011, 0.585410196624968
+_IN, _OUT = 0.138196601125011, 0.585410196624968  # coordinates of four points in a tetrahedron
 _FOUR = np.full((4, 3), _IN) + (_OUT - _IN) * np.vstack((np.zeros(3), np.eye(3)))
 _HEX_FACES = [(0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)]
 _TET_FACES = [(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)]
-Nodes = NDArray[np.int64]
 _OFF = 0.25  # lengths of an edge: how far its middle node may be off
 
 
