@@ -16,7 +16,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from mbd_ros.api import Scene
-from mbd_ros.applications.demo.walking.task import DURATION, excitations, marked_leg
+from mbd_ros.applications.demo.walking import DURATION, excitations, marked_leg
 from mbd_ros.files.table import Result
 from mbd_ros.view.frames import SLACK, TIGHT, Frames
 from mbd_ros.view.motion import ViewedMotion, viewed_motion

@@ -1,11 +1,16 @@
-"""Motions, wrenches and markers from tables and bags: one meaning for all."""
+"""Motions, wrenches and markers from tables and bags: one meaning for all.
+
+A result says of which it was made: `metadata_of`.
+"""
 
 from __future__ import annotations
 
+import platform
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -19,6 +24,9 @@ from mbd_ros.files.laboratory.storage import REMARKS, is_storage, joint_columns,
 from mbd_ros.files.recording import NO_BODIES, Recording
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table, motion_stamps, read_result
 from msg_adapters.pose import OFF_UNIT
+
+if TYPE_CHECKING:
+    from mbd_ros.scene.built_scene import Scene
 
 Source = str | Path | Result  # of a motion
 CSV = (".csv", ".csv.gz")  # strict: nan stands only where it has a meaning
@@ -368,3 +376,43 @@ class Capture(NamedTuple):
                 f"{self.times[0]:g} to {self.times[-1]:g} s"
             )
         return self._replace(times=self.times[inside], places=self.places[inside])
+
+
+def metadata_of(
+    job: str, scene: Scene, inputs: Mapping[str, Any], topics: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Metadata of a result.
+
+    Args:
+        job: Name of the command.
+        scene: The scene.
+        inputs: What the job was asked for; files by their names, None is left out.
+        topics: Topics of a bag, see `bag_streams`.
+    """
+    given = {key: _plain(value) for key, value in inputs.items() if value is not None}
+    return {
+        "job": job,
+        "scene": scene.name,
+        "inputs": given,
+        "versions": dict(_versions()),
+        "topics": dict(topics),
+    }
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Result):
+        return {"job": value.metadata.get("job", ""), "inputs": value.metadata.get("inputs", {})}
+    return value if isinstance(value, int | float | str | list | dict) else name_of(value)
+
+
+@cache
+def _versions() -> tuple[tuple[str, str], ...]:
+    from importlib.metadata import PackageNotFoundError, version  # only where a result is made
+
+    found = [("python", platform.python_version())]
+    for package, name in (("mbd_ros", "mbd_ros"), ("pinocchio", "pin"), ("numpy", "numpy")):
+        try:
+            found.append((package, version(name)))
+        except PackageNotFoundError:  # colcon and conda install without what pip knows
+            found.append((package, "unknown"))
+    return tuple(found)

@@ -13,9 +13,8 @@ from xml.sax.saxutils import quoteattr
 import pytest
 
 from mbd_ros.api import load_scene
-from mbd_ros.applications.demo.page import Content
+from mbd_ros.applications.demo.page import Content, Table
 from mbd_ros.applications.demo.page import page as demo_page
-from mbd_ros.applications.demo.summary import Table
 from mbd_ros.cli import main
 from mbd_ros.files.table import read_result
 

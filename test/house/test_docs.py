@@ -14,7 +14,7 @@ from PIL import Image
 from places import ROOT
 from scipy.integrate import simpson
 
-from mbd_ros.applications.report.headlines import BEGIN, END
+from mbd_ros.applications.report.page import BEGIN, END
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
 from mbd_ros.features.tools.completion import all_words

@@ -39,8 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
                 f"{arguments.robot}: {_GIVEN[arguments.robot]}; "
                 "--time and --controller are for robots"
             )
-        from mbd_ros.applications.demo.twin.run import twin
-        from mbd_ros.applications.demo.walking.run import walking
+        from mbd_ros.applications.demo.twin import twin
+        from mbd_ros.applications.demo.walking import walking
 
         say_all((twin if arguments.robot == _TWIN else walking)(arguments.out))
         return OK

@@ -1,4 +1,4 @@
-"""The page of a demo, in one file."""
+"""The page of a demo, in one file, and what it says in the end: tables and checks."""
 
 from __future__ import annotations
 
@@ -9,22 +9,16 @@ from html import escape
 from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
-
-import numpy as np
+from typing import NamedTuple
 
 from mbd_ros.applications.demo.files import PAGE, PICTURE
 from mbd_ros.applications.demo.processes import Failed
-from mbd_ros.applications.demo.summary import Table, lines
 from mbd_ros.errors import install_hint
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.view.frames import Frames
 from mbd_ros.view.motion import ViewedMotion, viewed_motion
 from mbd_ros.view.recording import POLICY
-
-if TYPE_CHECKING:
-    from mbd_ros.applications.demo.numbers import DemoNumbers
 
 _STYLE = """
 .plots { display: grid; gap: 0 1.5rem;
@@ -103,30 +97,6 @@ def page(content: Content) -> str:
     )
 
 
-class Content(NamedTuple):
-    """Contents of a page.
-
-    Attributes:
-        title: Heading.
-        facts: Line below it.
-        failed: Checks that are not met.
-        text: Paragraphs.
-        moving: What moves, HTML, and a line below it.
-        pictures: Caption -> PNG.
-        tables: The summary.
-        made: Name -> value, how it was made.
-    """
-
-    title: str
-    facts: str
-    failed: Sequence[str]
-    text: Sequence[str]
-    moving: tuple[str, str]
-    pictures: Mapping[str, bytes]
-    tables: Sequence[Table]
-    made: Mapping[str, str]
-
-
 def _verdict(failed: Sequence[str]) -> str:
     if not failed:
         return '<div class="verdict"><strong>All checks are met.</strong></div>'
@@ -157,18 +127,64 @@ def _pairs(made: Mapping[str, str]) -> str:
     return "".join(f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in made.items())
 
 
-def moving_run(numbers: DemoNumbers, bag: Path, title: str) -> str:
-    """The recorded motion of the plant with the forces that it published, as HTML to inline."""
-    scene = numbers.plant
-    rows = Frames(scene).rows
-    motion = viewed_motion(scene, bag, rows)
-    if rows and (forces := numbers.signals.forces) is not None:
-        published = dict(zip((row.name for row in numbers.rows), rows, strict=True))
-        columns = forces.columns(list(published))
-        at = np.searchsorted(forces.time, motion.times + numbers.signals.states.time[0])
-        multipliers = forces.effort[np.minimum(at, len(forces.time) - 1)][:, columns]
-        motion = motion._replace(multipliers=multipliers)
-    return inlined(scene, motion, title)
+class Content(NamedTuple):
+    """Contents of a page.
+
+    Attributes:
+        title: Heading.
+        facts: Line below it.
+        failed: Checks that are not met.
+        text: Paragraphs.
+        moving: What moves, HTML, and a line below it.
+        pictures: Caption -> PNG.
+        tables: The summary.
+        made: Name -> value, how it was made.
+    """
+
+    title: str
+    facts: str
+    failed: Sequence[str]
+    text: Sequence[str]
+    moving: tuple[str, str]
+    pictures: Mapping[str, bytes]
+    tables: Sequence[Table]
+    made: Mapping[str, str]
+
+
+class Table(NamedTuple):
+    """Texts, ready to be shown; the first column names the row."""
+
+    title: str
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+
+
+class Check(NamedTuple):
+    """Something that must hold."""
+
+    what: str
+    is_met: bool
+    found: str
+
+
+def lines(table: Table) -> Iterator[str]:
+    """A table for a terminal: names to the left, numbers to the right."""
+    widths = [
+        max(len(cell) for cell in column)
+        for column in zip(table.columns, *table.rows, strict=True)
+    ]
+    yield ""
+    yield table.title
+    for row in (table.columns, *table.rows):
+        cells = [row[0].ljust(widths[0])]
+        cells += [c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True)]
+        yield "  " + "  ".join(cells).rstrip()
+
+
+def check_table(checks: Sequence[Check]) -> Table:
+    """The checks of a demo, a row each."""
+    rows = [(c.what, "yes" if c.is_met else "NO", c.found) for c in checks]
+    return Table("Checks", ("", "met", "found"), rows)
 
 
 def inlined(scene: Scene, motion: ViewedMotion, title: str, slower: float = 1.0) -> str:

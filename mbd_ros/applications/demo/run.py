@@ -6,6 +6,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from mbd_ros.applications.demo import panels
 from mbd_ros.applications.demo.files import (
     BAG,
@@ -19,15 +21,22 @@ from mbd_ros.applications.demo.files import (
     write_scenes,
 )
 from mbd_ros.applications.demo.loop import CUTOFF, LoopRun, record_loop
-from mbd_ros.applications.demo.numbers import DemoNumbers, read_signals
-from mbd_ros.applications.demo.page import Content, conclusion, machine, moving_run, write_page
+from mbd_ros.applications.demo.numbers import DemoNumbers, read_signals, tables
+from mbd_ros.applications.demo.page import (
+    Content,
+    Table,
+    conclusion,
+    inlined,
+    machine,
+    write_page,
+)
 from mbd_ros.applications.demo.panels import BLACK, BLUE, ORANGE, line, name, picture
-from mbd_ros.applications.demo.summary import Table
-from mbd_ros.applications.demo.tables import tables
 from mbd_ros.applications.demo.task import DISTURBANCE_SHARE, LAWS, ROBOTS, disturbance, trajectory
 from mbd_ros.errors import DataError
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.simulation import build_simulation
+from mbd_ros.view.frames import Frames
+from mbd_ros.view.motion import viewed_motion
 
 SHORTEST, LONGEST = 2.0, 60.0  # s
 _MOVES = (
@@ -74,7 +83,7 @@ def demo(order: Demo) -> Iterator[str]:
         numbers = DemoNumbers(read_signals(folder / BAG, run.controller), folder)
         summary = tables(numbers)
         failed = [f"{c.what}: {c.found}" for c in numbers.checks() if not c.is_met]
-        moving = moving_run(numbers, folder / BAG, robot.title)
+        moving = _moving(numbers, folder / BAG, robot.title)
         content = _content(order, numbers, summary, failed, gains, moving)
         write_page(folder, overview(numbers), content)
     yield from conclusion(content, "recording, scenes", order.out)
@@ -135,6 +144,20 @@ def _content(
     title = f"Demo: {robot.title}"
     moves = (moving, _MOVES)
     return Content(title, facts, failed, text, moves, pictures(numbers), summary, made)
+
+
+def _moving(numbers: DemoNumbers, bag: Path, title: str) -> str:
+    """The recorded motion of the plant with the forces that it published, as HTML to inline."""
+    scene = numbers.plant
+    rows = Frames(scene).rows
+    motion = viewed_motion(scene, bag, rows)
+    if rows and (forces := numbers.signals.forces) is not None:
+        published = dict(zip((row.name for row in numbers.rows), rows, strict=True))
+        columns = forces.columns(list(published))
+        at = np.searchsorted(forces.time, motion.times + numbers.signals.states.time[0])
+        multipliers = forces.effort[np.minimum(at, len(forces.time) - 1)][:, columns]
+        motion = motion._replace(multipliers=multipliers)
+    return inlined(scene, motion, title)
 
 
 def pictures(numbers: DemoNumbers) -> dict[str, bytes]:

@@ -36,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _lines(arguments: argparse.Namespace) -> Iterator[str]:
     if arguments.readme is not None:
-        from mbd_ros.applications.report.headlines import put_headlines
+        from mbd_ros.applications.report.page import put_headlines
 
         if arguments.scenes or arguments.quick or arguments.only:
             raise DataError("--readme takes the numbers of -o DIR as they are")

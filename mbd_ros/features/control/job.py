@@ -16,8 +16,7 @@ from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.control.tracking_plan import TrackingPlan
 from mbd_ros.motion.columns import joint_columns
-from mbd_ros.motion.recordings import Source, name_of
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import Source, metadata_of, name_of
 from mbd_ros.scene.built_scene import Scene
 
 

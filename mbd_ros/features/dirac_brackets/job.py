@@ -11,7 +11,7 @@ from mbd_ros.errors import SceneError
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.jobs.progress import Say
 from mbd_ros.methods.projection.assembly import assemble
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import metadata_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import is_of_particles
 

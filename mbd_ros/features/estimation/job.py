@@ -29,8 +29,7 @@ from mbd_ros.motion.columns import (
     whole_bodies,
 )
 from mbd_ros.motion.external_loads import read_loads, refuse_unused, wrench_at
-from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import Source, metadata_of, name_of, read_columns, read_motion
 from mbd_ros.parts.sensors.effort import Effort
 from mbd_ros.parts.sensors.encoder import Encoder
 from mbd_ros.parts.sensors.tachometer import Tachometer

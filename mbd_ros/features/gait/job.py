@@ -27,7 +27,7 @@ from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.jobs.result_files import beside, write_tables
 from mbd_ros.motion.columns import state_topics
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import metadata_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.task_reader import read_task
 

@@ -16,7 +16,7 @@ from mbd_ros.files.table import TIME, Table
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import TorqueComponents
 from mbd_ros.motion.filters import Rows, low_passed
 from mbd_ros.motion.long_stamps import Windows
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import metadata_of
 from mbd_ros.motion.samples import Task
 from mbd_ros.scene.built_scene import Scene
 

@@ -35,8 +35,7 @@ from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.inverse_solution import Solved, solve_motion
-from mbd_ros.motion.recordings import Source, name_of
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import Source, metadata_of, name_of
 from mbd_ros.motion.samples import Task
 from mbd_ros.motion.stance import stance_of
 from mbd_ros.scene.built_scene import Scene

@@ -31,8 +31,7 @@ from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.columns import axes_matrix, joint_columns, other_axes, state_topics
-from mbd_ros.motion.recordings import Capture, Source, read_capture
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import Capture, Source, metadata_of, read_capture
 from mbd_ros.scene.built_scene import Scene
 
 RESIDUALS = "residuals"

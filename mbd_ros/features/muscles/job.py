@@ -33,8 +33,7 @@ from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
 from mbd_ros.motion.batch import Batch, Outcome, do_batch, do_one, task_of
 from mbd_ros.motion.columns import body_columns, joint_columns
 from mbd_ros.motion.derivatives import Derivatives
-from mbd_ros.motion.recordings import Source, name_of
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import Source, metadata_of, name_of
 from mbd_ros.motion.samples import Task, loads_of_laboratory, observe_motion
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.scene_summary import coordinate_names

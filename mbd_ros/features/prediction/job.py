@@ -28,7 +28,7 @@ from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
 from mbd_ros.jobs.progress import Say, Watch, say_all, watching
 from mbd_ros.jobs.result_files import beside, write_tables
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import metadata_of
 from mbd_ros.motion.state_table import topics_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.task_reader import read_task

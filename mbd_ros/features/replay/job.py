@@ -35,8 +35,7 @@ from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.table import MAIN, Column, Result, Table, time_columns
 from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
 from mbd_ros.jobs.isolated_domain import isolated_domain
-from mbd_ros.motion.recordings import read_motion
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import metadata_of, read_motion
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.code_permission import is_permitted

@@ -38,7 +38,7 @@ from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.jobs.result_files import write_tables
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
 from mbd_ros.jobs.workers.task import Task
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import metadata_of
 from mbd_ros.scene.reader import load_any
 from mbd_ros.scene.task_reader import read_task
 

@@ -25,7 +25,7 @@ from mbd_ros.jobs.workers.opening import do_all, open_workers
 from mbd_ros.jobs.workers.task import Result as Done
 from mbd_ros.jobs.workers.task import Task
 from mbd_ros.motion.columns import body_columns, joint_columns, whole_bodies
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import metadata_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.runs.batch import Batch, Runs

@@ -39,8 +39,7 @@ from mbd_ros.jobs.progress import Say, Watch, announce, watching
 from mbd_ros.jobs.progress import progress as shown
 from mbd_ros.methods.integration.stepping import BlockStepper
 from mbd_ros.methods.simulation.simulation import Simulation
-from mbd_ros.motion.recordings import Source
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import Source, metadata_of
 from mbd_ros.motion.state_table import BALANCE, table_of, topics_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings

@@ -23,7 +23,7 @@ from mbd_ros.methods.particles.particle_system import ParticleSystem
 from mbd_ros.methods.particles.units import Units
 from mbd_ros.methods.particles.verlet_steps import ParticleVerlet, sample_count
 from mbd_ros.methods.particles.verlet_steps import run as states_of
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import metadata_of
 from mbd_ros.scene.particles.particle_scene import ParticleScene
 from mbd_ros.scene.particles.particles_entry import QUANTITIES
 from mbd_ros.scene.variants import with_sections

@@ -14,12 +14,14 @@ from mbd_ros.features.control.reference import ReferenceGenerator
 from mbd_ros.files.plan import read_plan
 from mbd_ros.methods.control.contract import ControlledJoints, Controller
 from mbd_ros.nodes.shell.parameters import (
+    TUNING,
     Parameter,
     ParameterError,
     argument_parameter,
     constructor_parameters,
+    stream_parameters,
+    tunable,
 )
-from mbd_ros.nodes.shell.stream_parameters import TUNING, stream_parameters, tunable
 from mbd_ros.scene.schema.registry import PARTS, resolve
 from mbd_ros.scene.schema.schema import Argument, arguments
 

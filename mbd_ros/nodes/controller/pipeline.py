@@ -28,8 +28,8 @@ from mbd_ros.nodes.controller.parameters import (
     gains,
 )
 from mbd_ros.nodes.shell.commands import command_order, driven_joints
+from mbd_ros.nodes.shell.parameters import tuning
 from mbd_ros.nodes.shell.serialized import joint_state
-from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader

@@ -1,5 +1,7 @@
 """Node `inverse_dynamics`: joint states and wrenches in, torques and coupling forces out."""
 
+from __future__ import annotations
+
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -9,19 +11,52 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.inverse_dynamics.standing import Nearness
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
 from mbd_ros.methods.signals.differentiation import SampleStatus
-from mbd_ros.nodes.inverse_dynamics.parameters import PARAMETERS
 from mbd_ros.nodes.inverse_dynamics.pipeline import Part, Pipeline
 from mbd_ros.nodes.shell.joint_state_stream import SENSOR, JointStateStream
+from mbd_ros.nodes.shell.parameters import STREAM, Parameter, tuning
 from mbd_ros.nodes.shell.robot_description import LATCHED, RobotDescription
 from mbd_ros.nodes.shell.serialized import read_load, require_size
 from mbd_ros.nodes.shell.shell import Shell
-from mbd_ros.nodes.shell.stream_parameters import tuning
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample
 
+PARAMETERS = (
+    *STREAM,
+    Parameter("power", bool, "Publish powers and their balance on ~/power.", False),
+    Parameter(
+        "stance",
+        str,
+        "Forces of rigid contacts that no wrench gives: 0, or unknowns with the least efforts.",
+        "none",
+        choices=("none", "minimum-norm"),
+    ),
+    Parameter(
+        "phase_topic",
+        str,
+        "Topic of the name of the phase, whose contacts are on the ground; empty for geometry.",
+        "",
+    ),
+    Parameter(
+        "stance_gap",
+        float,
+        "Largest gap of what is on the ground, as a multiple of the size [-].",
+        Nearness().gap,
+        low=0.0,
+        high=1.0,
+    ),
+    Parameter(
+        "stance_speed",
+        float,
+        "Largest speed of it along the normal, of the root of gravity times size [-].",
+        Nearness().speed,
+        low=0.0,
+        high=100.0,
+    ),
+)
 POWERS = 100  # a reader may be away for 0.1 s at 1 kHz
 
 

@@ -23,8 +23,8 @@ from mbd_ros.methods.inverse_dynamics.power import ObservedPower
 from mbd_ros.methods.inverse_dynamics.standing import Nearness
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.methods.signals.differentiation import SampleStatus
+from mbd_ros.nodes.shell.parameters import tuning
 from mbd_ros.nodes.shell.serialized import joint_state
-from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.describe.scene_summary import inverse_tier
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN

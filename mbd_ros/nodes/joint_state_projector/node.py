@@ -1,5 +1,7 @@
 """Node `joint_state_projector`: measured joint states in, the nearest consistent ones out."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any
 
@@ -7,16 +9,53 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.errors import SolveError
+from mbd_ros.methods.projection.state_projection import StateProjector
 from mbd_ros.methods.signals.differentiation import SampleStatus
-from mbd_ros.nodes.joint_state_projector.parameters import PARAMETERS
 from mbd_ros.nodes.joint_state_projector.pipeline import ProjectorPipeline
 from mbd_ros.nodes.shell.joint_state_stream import JointStateStream
+from mbd_ros.nodes.shell.parameters import (
+    TUNING,
+    Parameter,
+    constructor_parameters,
+    stream_parameters,
+    tuning,
+)
 from mbd_ros.nodes.shell.robot_description import RobotDescription
 from mbd_ros.nodes.shell.shell import Shell
-from mbd_ros.nodes.shell.stream_parameters import tuning
 from msg_adapters.diagnostics import OK
 from msg_adapters.joint_state import JointSample
 
+PARAMETERS = (
+    *stream_parameters(
+        "scene",
+        "allow_code",
+        *TUNING,
+        "timeout",
+        "clock_tolerance",
+    ),
+    *constructor_parameters(
+        StateProjector, {"limits": "limits", "amplification": "amplification"}, skip=1
+    ),
+    Parameter(
+        "violation_tolerance",
+        float,
+        "Violation of a constraint or limit by the measurement that is reported [rad, m].",
+        0.05,
+        low=0.0,
+        high=100.0,
+        read_only=False,
+    ),
+    Parameter(
+        "failures",
+        int,
+        "Joint states in a row without a consistent state near them after which the node "
+        "deactivates.",
+        1000,
+        low=1,
+        high=1_000_000,
+        read_only=False,
+    ),
+)
 DEPTH = 100  # a reader may be away for 0.1 s at 1 kHz
 
 

@@ -17,8 +17,8 @@ from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.features.estimation.state_reconstruction import StateReconstructor
 from mbd_ros.methods.projection.state_projection import ProjectedState, StateProjector
 from mbd_ros.methods.signals.differentiation import SampleStatus
+from mbd_ros.nodes.shell.parameters import tuning
 from mbd_ros.nodes.shell.serialized import joint_state
-from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN
 from msg_adapters.joint_state import JointSample, JointStateReader

@@ -1,5 +1,7 @@
 """Node `marker_kinematics`: places of markers in, joint states out."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from functools import partial
 from typing import Any
@@ -11,14 +13,42 @@ from visualization_msgs.msg import MarkerArray
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.signals.differentiation import SampleStatus
-from mbd_ros.nodes.marker_kinematics.parameters import PARAMETERS
 from mbd_ros.nodes.marker_kinematics.pipeline import MarkerPipeline
 from mbd_ros.nodes.shell.joint_state_stream import SENSOR, JointStateStream
+from mbd_ros.nodes.shell.parameters import Parameter, stream_parameters, tunable
 from mbd_ros.nodes.shell.robot_description import RobotDescription
 from mbd_ros.nodes.shell.shell import Shell
 from msg_adapters.diagnostics import OK
 from msg_adapters.errors import MessageError
 
+PARAMETERS = (
+    *stream_parameters("scene", "allow_code", "cutoff", "rewind", "clock_tolerance"),
+    Parameter(
+        "task",
+        str,
+        "Task file with weights of markers and coordinates, or a set-up of OpenSim's inverse "
+        "kinematics; empty for the weights of the scene.",
+        "",
+    ),
+    Parameter("limits", bool, "Whether joints keep their position limits.", True),
+    tunable("timeout", 0.5, 1e-3, 3600.0, "Age of the newest markers that is reported STALE [s]."),
+    tunable(
+        "residual_tolerance",
+        0.1,
+        0.0,
+        100.0,
+        "Root mean square distance of the markers that is reported [m].",
+    ),
+    Parameter(
+        "failures",
+        int,
+        "Messages in a row without a fit after which the node deactivates.",
+        1000,
+        low=1,
+        high=1_000_000,
+        read_only=False,
+    ),
+)
 TOPIC = "markers"
 DEPTH = 100  # a reader may be away for half a second at 200 Hz
 

@@ -1,5 +1,7 @@
 """Node `payload_estimator`: joint states with efforts in, mass and inertia of the payload out."""
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any
 
@@ -8,9 +10,9 @@ from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.model.inertial_parameters import COUNT, PLACES
 from mbd_ros.methods.signals.differentiation import SampleStatus
-from mbd_ros.nodes.payload_estimator.parameters import PARAMETERS
 from mbd_ros.nodes.payload_estimator.pipeline import Carried, PayloadPipeline
 from mbd_ros.nodes.shell.joint_state_stream import JointStateStream
+from mbd_ros.nodes.shell.parameters import TUNING, Parameter, stream_parameters, tunable
 from mbd_ros.nodes.shell.robot_description import RobotDescription
 from mbd_ros.nodes.shell.shell import Shell
 from msg_adapters.diagnostics import OK
@@ -18,6 +20,19 @@ from msg_adapters.inertia import write_inertia
 from msg_adapters.joint_state import JointSample
 from msg_adapters.multi_array import MultiArrayCdrWriter
 
+PARAMETERS = (
+    *stream_parameters(
+        "scene",
+        "allow_code",
+        *TUNING,
+        "timeout",
+        "clock_tolerance",
+    ),
+    Parameter("frame", str, "Link that carries the payload; empty: the last one.", ""),
+    tunable("memory", 10.0, 0.1, 1e4, "Time after which samples count 1/e [s]."),
+    tunable("largest_mass", 10.0, 1e-6, 1e6, "Mass that may be expected [kg]."),
+    tunable("size", 0.2, 1e-4, 100.0, "Size of the payload that may be expected [m]."),
+)
 DEPTH = 10
 LABELS = tuple(f"{a}.{b}" for a in PLACES for b in PLACES)
 

@@ -14,8 +14,8 @@ from mbd_ros.features.identification.payload.recursive import RecursivePayload
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.methods.inverse_dynamics.torque_estimator import JointObserver
 from mbd_ros.methods.signals.differentiation import SampleStatus
+from mbd_ros.nodes.shell.parameters import tuning
 from mbd_ros.nodes.shell.serialized import joint_state
-from mbd_ros.nodes.shell.stream_parameters import tuning
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from msg_adapters.diagnostics import OK, WARN

@@ -12,9 +12,8 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags.bag_reader import raw_messages, topic_types
 from mbd_ros.methods.control.contract import ControlledJoints
-from mbd_ros.nodes.shell.parameters import Parameter, ParameterError
+from mbd_ros.nodes.shell.parameters import ALLOW_CODE, Parameter, ParameterError
 from mbd_ros.nodes.shell.shell import Shell
-from mbd_ros.nodes.shell.stream_parameters import ALLOW_CODE
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.code_permission import permitting
 from msg_adapters.diagnostics import OK, WARN

@@ -1,7 +1,6 @@
 """Parameters of the node `simulator`."""
 
-from mbd_ros.nodes.shell.parameters import Parameter
-from mbd_ros.nodes.shell.stream_parameters import ALLOW_CODE
+from mbd_ros.nodes.shell.parameters import ALLOW_CODE, Parameter
 
 PARAMETERS = (
     Parameter("scene", str, "Scene: a file, or the name of an embedded one."),

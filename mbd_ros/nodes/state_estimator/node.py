@@ -17,9 +17,8 @@ from mbd_ros.nodes.shell.robot_description import RobotDescription
 from mbd_ros.nodes.shell.sensor_messages import SensorMessage
 from mbd_ros.nodes.shell.serialized import read_load
 from mbd_ros.nodes.shell.shell import Shell
-from mbd_ros.nodes.state_estimator.messages import EstimateMessages
 from mbd_ros.nodes.state_estimator.parameters import PARAMETERS
-from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline
+from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimateMessages, EstimatorPipeline
 from msg_adapters.diagnostics import OK
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample

@@ -6,8 +6,12 @@ from typing import Any
 
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
-from mbd_ros.nodes.shell.parameters import Parameter, ParameterError, constructor_parameters
-from mbd_ros.nodes.shell.stream_parameters import stream_parameters
+from mbd_ros.nodes.shell.parameters import (
+    Parameter,
+    ParameterError,
+    constructor_parameters,
+    stream_parameters,
+)
 from mbd_ros.parts.estimators.moving_horizon import MovingHorizon
 
 _TASK = (

@@ -12,23 +12,102 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.srv import SetParameters
 from rclpy.exceptions import InvalidTopicNameException
-from rclpy.parameter import Parameter
+from rclpy.parameter import Parameter as ParameterParameter
 from rclpy.validate_topic_name import validate_topic_name
 from std_srvs.srv import SetBool, Trigger
 
 from mbd_ros.core.state import Array
-from mbd_ros.nodes.shell.parameters import ParameterError
+from mbd_ros.nodes.shell.parameters import ALLOW_CODE, Parameter, ParameterError
 from mbd_ros.nodes.shell.robot_description import RobotDescription
 from mbd_ros.nodes.shell.shell import Shell
-from mbd_ros.nodes.web_view.leading import Leading
-from mbd_ros.nodes.web_view.parameters import PARAMETERS
-from mbd_ros.nodes.web_view.robot_topics import RobotTopics, within
+from mbd_ros.nodes.web_view.robot_topics import Leading, RobotTopics, within
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.view.live import REAL_TIME_FACTOR, LivePage, Wish
 from mbd_ros.view.live_robot import LiveRobot
 from mbd_ros.view.server import PageServer
 from msg_adapters.diagnostics import ERROR, OK, STALE, WARN, read_diagnostics
 
+FASTEST = 30.0  # Hz, to browsers
+PARAMETERS = (
+    Parameter("scene", str, "Scene: a file, or the name of an embedded one."),
+    ALLOW_CODE,
+    Parameter(
+        "namespaces",
+        list[str],
+        "Namespaces of the robots, one each; empty for one robot in that of the node.",
+        (),
+    ),
+    Parameter(
+        "scenes", list[str], "Scene of each robot, if they differ; empty: all have `scene`.", ()
+    ),
+    Parameter(
+        "offsets",
+        list[float],
+        "x, y and z of the world of each robot on the page [m]; empty: robots of one scene stand "
+        "side by side, others where their scenes place them.",
+        (),
+        low=-1e6,
+        high=1e6,
+    ),
+    Parameter(
+        "host",
+        str,
+        "Address to listen on; another one than this machine's asks for a token.",
+        "127.0.0.1",
+    ),
+    Parameter(
+        "port",
+        int,
+        "Port to listen on; the next one that is free where it is taken.",
+        8080,
+        low=1,
+        high=65535,
+    ),
+    Parameter(
+        "token",
+        str,
+        "What a browser must know; empty: nothing on this machine's address, and on another one "
+        "what the node makes up and logs.",
+        "",
+    ),
+    Parameter(
+        "origins",
+        list[str],
+        "Addresses under which a proxy shows the page, such as https://robots.example.",
+        (),
+    ),
+    Parameter(
+        "rate",
+        float,
+        "Frames that browsers get a second at most [Hz].",
+        FASTEST,
+        low=0.1,
+        high=FASTEST,
+    ),
+    Parameter("window", float, "Time that curves show [s].", 10.0, low=0.1, high=600.0),
+    Parameter(
+        "simulator", str, "Node whose buttons the page has, in each namespace.", "simulator"
+    ),
+    Parameter(
+        "controller",
+        str,
+        "Node that is led by targets, in each namespace; empty: whichever hears a reference.",
+        "",
+    ),
+    Parameter(
+        "constraint_forces",
+        str,
+        "Topic of multipliers, in each namespace.",
+        "simulator/constraint_forces",
+    ),
+    Parameter(
+        "torques",
+        str,
+        "Topic of computed torques, in each namespace.",
+        "inverse_dynamics/joint_torques",
+    ),
+    Parameter("markers", str, "Topic of markers, in each namespace.", "markers"),
+)
 _TRIGGERS = ("reset", "step")
 _PAUSES = {"pause": True, "run": False}
 _SILENT = 1.0  # s without joint states that are reported
@@ -246,7 +325,7 @@ class SimulatorClient:
         if wish.what in _PAUSES:
             self._ask(self._pause, SetBool.Request(data=_PAUSES[wish.what]), wish.what)
         elif wish.what == REAL_TIME_FACTOR:
-            changed = Parameter("real_time_factor", value=wish.value).to_parameter_msg()
+            changed = ParameterParameter("real_time_factor", value=wish.value).to_parameter_msg()
             request = SetParameters.Request(parameters=[changed])
             self._ask(self._parameters, request, f"{wish.what} {wish.value:g}")
         else:
@@ -275,8 +354,16 @@ class SimulatorClient:
             self._tell(f"{what}: {answer.message}")
 
 
-def _title(robot: _Robot) -> str:
-    return f"{robot.view.title}: " if robot.view.title else ""
+def _check_spaces(spaces: Sequence[str]) -> None:
+    if len(set(spaces)) != len(spaces):
+        raise ParameterError("parameter 'namespaces' repeats one; accepted: each once")
+    for space in spaces:
+        try:
+            validate_topic_name(within(space, "x"))
+        except InvalidTopicNameException as error:
+            raise ParameterError(
+                f"parameter 'namespaces': '{space}' is no namespace: {error}"
+            ) from error
 
 
 def _state(robot: _Robot) -> str:
@@ -288,13 +375,5 @@ def _state(robot: _Robot) -> str:
     return f"{_title(robot)}no joint states {since}"
 
 
-def _check_spaces(spaces: Sequence[str]) -> None:
-    if len(set(spaces)) != len(spaces):
-        raise ParameterError("parameter 'namespaces' repeats one; accepted: each once")
-    for space in spaces:
-        try:
-            validate_topic_name(within(space, "x"))
-        except InvalidTopicNameException as error:
-            raise ParameterError(
-                f"parameter 'namespaces': '{space}' is no namespace: {error}"
-            ) from error
+def _title(robot: _Robot) -> str:
+    return f"{robot.view.title}: " if robot.view.title else ""

@@ -18,8 +18,7 @@ from mbd_ros.applications.demo.files import (
     replacing_folder,
     write_gains,
 )
-from mbd_ros.applications.demo.page import Content, page
-from mbd_ros.applications.demo.summary import Table, lines
+from mbd_ros.applications.demo.page import Content, Table, lines, page
 from mbd_ros.applications.demo.task import LAWS, ROBOTS, trajectory
 from mbd_ros.cli import main
 from mbd_ros.core.kinematics.kinematics import Kinematics

@@ -6,9 +6,8 @@ import sys
 import numpy as np
 import pytest
 
-from mbd_ros.applications.demo.walking import numbers as chain
-from mbd_ros.applications.demo.walking import run
-from mbd_ros.applications.demo.walking.task import JOINTS
+from mbd_ros.applications.demo import walking
+from mbd_ros.applications.demo.walking import JOINTS
 from mbd_ros.cli import main
 from mbd_ros.files.table import read_result
 
@@ -17,13 +16,13 @@ ROS = "rclpy", "rosbags", "std_msgs"
 
 @pytest.fixture(scope="module")
 def numbers():
-    return chain.WalkingNumbers()
+    return walking.WalkingNumbers()
 
 
 @pytest.fixture
 def demo(numbers, tmp_path, monkeypatch):
     """A function that makes the page from one simulation for all tests; exit code and folder."""
-    monkeypatch.setattr(run, "WalkingNumbers", lambda: numbers)
+    monkeypatch.setattr(walking, "WalkingNumbers", lambda: numbers)
     return lambda: (main(["demo", "walking", "-o", str(tmp_path / "out")]), tmp_path / "out")
 
 
@@ -43,7 +42,7 @@ def test_the_page_says_what_was_found(demo, capsys):
 
 
 def test_a_check_that_is_not_met_is_exit_code_1_and_keeps_the_page(demo, monkeypatch, capsys):
-    monkeypatch.setattr(chain, "_LOAD", 0.01)
+    monkeypatch.setattr(walking, "_LOAD", 0.01)
     code, folder = demo()
     assert code == 1
     assert "<strong>Not met:</strong>" in (folder / "demo.html").read_text(encoding="utf-8")
@@ -65,7 +64,7 @@ def test_simulated_tensions_are_the_moments_of_the_simulated_motion(numbers):
 
 def test_the_swing_is_one_of_walking(numbers):
     """The knee bends to about 60 degrees and is straight in the end; the thigh swings forward."""
-    hip, knee, _ = np.degrees(chain.columns(numbers.swing, JOINTS, "position")).T
+    hip, knee, _ = np.degrees(walking.columns(numbers.swing, JOINTS, "position")).T
     assert -65.0 < knee.min() < -50.0
     assert abs(knee[-1]) < 5.0
     assert hip[0] < -10.0 and hip[-1] > 20.0
@@ -78,7 +77,7 @@ def test_times_and_laws_are_for_robots(tmp_path, capsys):
 
 
 def test_it_needs_no_ros():
-    code = "import sys, mbd_ros.applications.demo.walking.run; "
+    code = "import sys, mbd_ros.applications.demo.walking; "
     code += f"print([m for m in {ROS} if m in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "[]\n"

@@ -9,11 +9,11 @@ from mechanisms import scene_of
 
 from mbd_ros.applications.report.peers import kind as peers
 from mbd_ros.applications.report.peers.contenders import compete
-from mbd_ros.applications.report.peers.text import compose, ratio
+from mbd_ros.applications.report.peers.kind import compose, ratio
 from mbd_ros.applications.report.peers.translation import common_ground, task_of
 from mbd_ros.applications.report.precision.converged import known, motion_of
-from mbd_ros.applications.report.precision.pareto import Point
 from mbd_ros.applications.report.precision.reference_problems import SCENES
+from mbd_ros.applications.report.precision.work_precision import Point
 from mbd_ros.errors import DivergedError, SceneError
 from mbd_ros.scene.reader import load_scene
 

@@ -20,9 +20,9 @@ from mbd_ros.applications.report.precision.converged import (
     snippet,
 )
 from mbd_ros.applications.report.precision.kind import between
-from mbd_ros.applications.report.precision.pareto import Point, cheapest, cost_at, front
 from mbd_ros.applications.report.precision.reference_problems import PROBLEMS, SCENES
 from mbd_ros.applications.report.precision.text import brief, compose, power
+from mbd_ros.applications.report.precision.work_precision import Point, cheapest, cost_at, front
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.scene.schema.strict_yaml import read_mapping
 

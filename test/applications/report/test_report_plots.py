@@ -4,9 +4,8 @@ import numpy as np
 from report_runs import RUNS, run_of
 
 from mbd_ros.applications.report.precision.kind import FAMILIES
-from mbd_ros.applications.report.precision.pareto import Point
 from mbd_ros.applications.report.precision.text import points_of
-from mbd_ros.applications.report.precision.work_precision import diagram
+from mbd_ros.applications.report.precision.work_precision import Point, diagram
 
 
 def test_a_plot_has_one_line_an_integrator_and_a_legend_that_fits():

@@ -7,7 +7,7 @@ import pytest
 from mbd_ros.applications.report.items import Item
 from mbd_ros.applications.report.left_out import kind as left_out
 from mbd_ros.applications.report.peers import kind as peers
-from mbd_ros.applications.report.peers.text import compose
+from mbd_ros.applications.report.peers.kind import compose
 from mbd_ros.applications.report.precision import kind as precision
 from mbd_ros.applications.report.precision.converged import known
 from mbd_ros.applications.report.precision.reference_problems import SCENES

@@ -11,7 +11,13 @@ import pytest
 from mbd_ros.applications.report.items import Item
 from mbd_ros.applications.report.stability import kind as stability
 from mbd_ros.applications.report.stability import long_runs, reference_motion, verdicts
-from mbd_ros.applications.report.stability.cases import (
+from mbd_ros.applications.report.stability.kind import equations
+from mbd_ros.applications.report.stability.oracle import Oracle
+from mbd_ros.applications.report.stability.page import row_label
+from mbd_ros.applications.report.stability.reference_motion import Grid, reference, starting_rate
+from mbd_ros.applications.report.stability.scene_text import load
+from mbd_ros.applications.report.stability.scenes import extremes, mechanism, random_scene, rods
+from mbd_ros.applications.report.stability.verdicts import (
     FITTING,
     METHODS,
     VERDICTS,
@@ -20,17 +26,11 @@ from mbd_ros.applications.report.stability.cases import (
     chooses_steps,
     fitted,
     is_another,
+    judge,
     longest_step,
     room,
     tiers,
 )
-from mbd_ros.applications.report.stability.kind import equations
-from mbd_ros.applications.report.stability.oracle import Oracle
-from mbd_ros.applications.report.stability.reference_motion import Grid, reference, starting_rate
-from mbd_ros.applications.report.stability.row_labels import row_label
-from mbd_ros.applications.report.stability.scene_text import load
-from mbd_ros.applications.report.stability.scenes import extremes, mechanism, random_scene, rods
-from mbd_ros.applications.report.stability.verdicts import judge
 from mbd_ros.core.dynamics.composed_system import ComposedSystem
 from mbd_ros.core.dynamics.kkt import Kkt
 from mbd_ros.core.rows.frame_rows import PairRows

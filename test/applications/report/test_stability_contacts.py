@@ -6,8 +6,8 @@ import pytest
 from mbd_ros.applications.report.contact.ours import scene_of
 from mbd_ros.applications.report.stability import contact as verdicts
 from mbd_ros.applications.report.stability import kind
-from mbd_ros.applications.report.stability.cases import BOUNDED, CONVERGED, STOPPED, WRONG
 from mbd_ros.applications.report.stability.contact import contact_rows
+from mbd_ros.applications.report.stability.verdicts import BOUNDED, CONVERGED, STOPPED, WRONG
 from mbd_ros.errors import SolveError
 
 ROWS = {row.label: row for row in contact_rows(quick=False)}

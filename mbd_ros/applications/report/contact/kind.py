@@ -9,9 +9,8 @@ from mbd_ros.applications.report.contact import ours
 from mbd_ros.applications.report.contact.problems import Problem, Trace, penetration, problems
 from mbd_ros.applications.report.items import Item, Outcome, Section, Spec, Table
 from mbd_ros.applications.report.peers.contenders import OURS, USELESS, Contender, in_turn
-from mbd_ros.applications.report.peers.kind import installed
-from mbd_ros.applications.report.peers.text import Group, costs, groups_of
-from mbd_ros.applications.report.precision.rungs import Record
+from mbd_ros.applications.report.peers.kind import Group, costs, groups_of, installed
+from mbd_ros.applications.report.precision.converged import Record
 from mbd_ros.applications.report.precision.text import finished, power, repeatable, shown
 from mbd_ros.applications.report.precision.work_precision import diagram
 

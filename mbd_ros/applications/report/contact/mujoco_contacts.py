@@ -15,7 +15,7 @@ from mbd_ros.applications.report.contact.problems import (
     damping_ratio,
 )
 from mbd_ros.applications.report.peers.contenders import cpu_time
-from mbd_ros.applications.report.precision.rungs import Record
+from mbd_ros.applications.report.precision.converged import Record
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DivergedError
 

@@ -8,8 +8,7 @@ import pinocchio as pin
 
 from mbd_ros.applications.report.contact.problems import Problem, Solid, Trace
 from mbd_ros.applications.report.peers.contenders import cpu_time
-from mbd_ros.applications.report.precision.converged import Choice
-from mbd_ros.applications.report.precision.rungs import Record
+from mbd_ros.applications.report.precision.converged import Choice, Record
 from mbd_ros.core.state import Array, State
 from mbd_ros.methods.simulation.shown_accelerations import seen_at
 from mbd_ros.methods.simulation.simulation import Simulation

@@ -12,11 +12,12 @@ from mbd_ros.applications.report.precision.converged import (
     COMPILED,
     Choice,
     Known,
+    Record,
     distance,
     problem_of,
+    timed,
 )
 from mbd_ros.applications.report.precision.reference_problems import error
-from mbd_ros.applications.report.precision.rungs import Record, timed
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
 from mbd_ros.scene.built_scene import Scene

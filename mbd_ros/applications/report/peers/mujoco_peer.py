@@ -9,7 +9,7 @@ import pinocchio as pin
 
 from mbd_ros.applications.report.peers.contenders import cpu_time
 from mbd_ros.applications.report.peers.translation import Body, End, Follow, Task
-from mbd_ros.applications.report.precision.rungs import Record
+from mbd_ros.applications.report.precision.converged import Record
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, SceneError
 

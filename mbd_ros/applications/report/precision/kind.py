@@ -11,14 +11,15 @@ from mbd_ros.applications.report.precision.converged import (
     WANTED,
     Choice,
     Known,
+    Record,
     approach,
     compiles,
     formulations,
     known,
+    measure,
     of_record,
     stabilizations,
 )
-from mbd_ros.applications.report.precision.rungs import Record, measure
 from mbd_ros.applications.report.precision.text import compose
 from mbd_ros.applications.report.subjects import Subject, failures, is_own, subjects
 from mbd_ros.errors import MbdError

@@ -7,8 +7,7 @@ import numpy as np
 
 from mbd_ros.applications.report.items import Section, Table
 from mbd_ros.applications.report.precision.converged import WANTED, Choice, of_record, snippet
-from mbd_ros.applications.report.precision.pareto import Point, cheapest, front
-from mbd_ros.applications.report.precision.work_precision import diagram
+from mbd_ros.applications.report.precision.work_precision import Point, cheapest, diagram, front
 
 _TEXT = (
     "Every way to integrate a scene against its converged motion. The cheapest choice for an "

@@ -1,16 +1,20 @@
-"""Error against run time as a picture for a phone and for print."""
+"""Error against run time: the runs that are worth their time, and a picture of all.
+
+The picture is for a phone and for print. Its colours are those of Okabe and Ito, which
+colour-blind people tell apart.
+"""
+
+from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
 from itertools import cycle
-from typing import Any
+from typing import Any, NamedTuple
 
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullFormatter
-
-from mbd_ros.applications.report.precision.pareto import Point, front
 
 # Colours of Okabe and Ito, which colour-blind people tell apart; greys are methods of order 1 and
 # 2, vermilion is for peers, yellow for the front.
@@ -35,6 +39,55 @@ _LINE: Mapping[str, Any] = {"ms": 6.5, "lw": 1.4}
 _PEER_LINE: Mapping[str, Any] = {"color": _PEER, "ms": 9, "lw": 1.4, "ls": "-."}
 _DOTS: Mapping[str, Any] = {"marker": ".", "ms": 4, "lw": 0}
 _RINGS: Mapping[str, Any] = {"marker": "o", "ms": 11.5}
+
+
+class Point(NamedTuple):
+    """Cost [any unit, > 0] and error [any unit, > 0] of a run."""
+
+    cost: float
+    error: float
+
+
+def front(points: Sequence[Point]) -> list[int]:
+    """Indices of the points that no other one beats in both, from cheap to precise.
+
+    Args:
+        points: Any order; those that are not finite and positive are never on the front.
+    """
+    usable = [i for i, p in enumerate(points) if all(math.isfinite(x) and x > 0 for x in p)]
+    best: list[int] = []
+    for i in sorted(usable, key=lambda i: points[i]):
+        if not best or points[i].error < points[best[-1]].error:
+            best.append(i)
+    return best
+
+
+def cheapest(points: Sequence[Point], error: float) -> int | None:
+    """Index of the cheapest run that is as precise as wanted; None where none is."""
+    good = [i for i in front(points) if points[i].error <= error]
+    return min(good, key=lambda i: points[i].cost, default=None)
+
+
+def cost_at(points: Sequence[Point], error: float) -> float | None:
+    """Cost of an error on the front, between two runs by a power law.
+
+    Args:
+        points: Any runs.
+        error: Wanted error.
+
+    Returns:
+        None where no run is as precise; the cost of the cheapest run where that is more precise
+        than wanted, since nothing is known of cheaper ones.
+    """
+    best = [points[i] for i in front(points)]
+    for k, (cost, reached) in enumerate(best):
+        if reached <= error:
+            if k == 0:
+                return cost
+            before = best[k - 1]
+            share = math.log(before.error / error) / math.log(before.error / reached)
+            return before.cost * (cost / before.cost) ** share
+    return None
 
 
 def diagram(
@@ -74,6 +127,10 @@ def diagram(
     return figure
 
 
+def _columns(points: Sequence[Point]) -> tuple[list[float], list[float]]:
+    return [p.cost for p in points], [p.error for p in points]
+
+
 def _integrators(axes: Any, runs: Sequence[Mapping[str, Any]], points: Sequence[Point]) -> None:
     """Lines, symbols and dots of our runs."""
     best = [points[i] for i in front(points)]
@@ -88,21 +145,6 @@ def _integrators(axes: Any, runs: Sequence[Mapping[str, Any]], points: Sequence[
         axes.plot(*_columns(rest), color=color, **_DOTS, alpha=0.45, zorder=1.5)
 
 
-def _peer(name: str) -> str:
-    """Colour of another package; black for this one in native code."""
-    return "#000000" if name.startswith("mbd_ros") else _PEER
-
-
-def _split(points: Sequence[Point]) -> tuple[list[Point], list[Point]]:
-    """Those on their front, and the others."""
-    kept = front(points)
-    return [points[i] for i in kept], [p for i, p in enumerate(points) if i not in kept]
-
-
-def _columns(points: Sequence[Point]) -> tuple[list[float], list[float]]:
-    return [p.cost for p in points], [p.error for p in points]
-
-
 def _series(runs: Sequence[Mapping[str, Any]]) -> dict[tuple[str, bool], list[int]]:
     """Runs by integrator and whether it has a tolerance, as the legend lists them."""
     found: dict[tuple[str, bool], list[int]] = {}
@@ -113,10 +155,21 @@ def _series(runs: Sequence[Mapping[str, Any]]) -> dict[tuple[str, bool], list[in
     return dict(sorted(found.items(), key=lambda pair: (order.index(pair[0][0]), pair[0][1])))
 
 
+def _split(points: Sequence[Point]) -> tuple[list[Point], list[Point]]:
+    """Those on their front, and the others."""
+    kept = front(points)
+    return [points[i] for i in kept], [p for i, p in enumerate(points) if i not in kept]
+
+
 def _is_main(run: Mapping[str, Any]) -> bool:
     """Whether formulation and stabilization are those that the scene has by itself."""
     stabilization = (run["stabilization"] or {}).get("type", "projection")
     return run["solver"] == "plain" and stabilization == "projection"
+
+
+def _peer(name: str) -> str:
+    """Colour of another package; black for this one in native code."""
+    return "#000000" if name.startswith("mbd_ros") else _PEER
 
 
 def _scale(axes: Any) -> None:

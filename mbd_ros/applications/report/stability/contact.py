@@ -24,7 +24,10 @@ from mbd_ros.applications.report.contact.problems import (
     Solid,
     Trace,
 )
-from mbd_ros.applications.report.stability.cases import (
+from mbd_ros.applications.report.stability.scene_text import Entry
+from mbd_ros.applications.report.stability.scenes import item_name
+from mbd_ros.applications.report.stability.verdicts import (
+    ASKED,
     BOUNDED,
     CONVERGED,
     TIME_STEPPING,
@@ -32,9 +35,6 @@ from mbd_ros.applications.report.stability.cases import (
     Verdict,
     raised,
 )
-from mbd_ros.applications.report.stability.scene_text import Entry
-from mbd_ros.applications.report.stability.scenes import item_name
-from mbd_ros.applications.report.stability.verdicts import ASKED
 from mbd_ros.core.state import Array, State
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.simulation import build_simulation

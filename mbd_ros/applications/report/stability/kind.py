@@ -10,23 +10,6 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.applications.report.items import Item, Outcome, Section, Spec
-from mbd_ros.applications.report.stability.cases import (
-    CLOSED,
-    CONVERGED,
-    EQUATIONS,
-    STOPPED,
-    WRONG,
-    Case,
-    Verdict,
-    applicable,
-    asked_step,
-    chooses_steps,
-    is_named,
-    longest_step,
-    raised,
-    room,
-    tiers,
-)
 from mbd_ros.applications.report.stability.contact import (
     ContactRow,
     contact_methods,
@@ -49,7 +32,25 @@ from mbd_ros.applications.report.stability.scene_text import (
     load_file,
 )
 from mbd_ros.applications.report.stability.scenes import Extreme, extremes, item_name, random_scene
-from mbd_ros.applications.report.stability.verdicts import judge, step_on
+from mbd_ros.applications.report.stability.verdicts import (
+    CLOSED,
+    CONVERGED,
+    EQUATIONS,
+    STOPPED,
+    WRONG,
+    Case,
+    Verdict,
+    applicable,
+    asked_step,
+    chooses_steps,
+    is_named,
+    judge,
+    longest_step,
+    raised,
+    room,
+    step_on,
+    tiers,
+)
 from mbd_ros.core.state import State
 from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.scene.built_scene import Scene

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.applications.report.items import Item, Outcome, Section, Spec, Table
-from mbd_ros.applications.report.stability.figures import long_run_plot
 from mbd_ros.applications.report.stability.oracle import Oracle
+from mbd_ros.applications.report.stability.page import long_run_plot
 from mbd_ros.applications.report.stability.reference_motion import starting_rate
 from mbd_ros.applications.report.stability.scene_text import LoadedScene, joint
 from mbd_ros.applications.report.stability.scenes import mechanism, rod, rods

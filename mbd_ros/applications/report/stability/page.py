@@ -1,4 +1,9 @@
-"""The section of the page about stability."""
+"""The section of the page about stability.
+
+Its pictures are the map of verdicts, and energy and violations over long runs.
+"""
+
+from __future__ import annotations
 
 import math
 import re
@@ -7,10 +12,16 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import ListedColormap
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
 
 from mbd_ros.applications.report.items import Item, Outcome, Section, Table
-from mbd_ros.applications.report.stability.cases import (
+from mbd_ros.applications.report.stability.verdicts import (
+    ASKED,
     BOUNDED,
+    COARSE,
     COLUMNS,
     CONVERGED,
     FITTING,
@@ -20,13 +31,32 @@ from mbd_ros.applications.report.stability.cases import (
     VERDICTS,
     WARNED,
     WRONG,
+    is_another,
 )
-from mbd_ros.applications.report.stability.figures import verdict_map
-from mbd_ros.applications.report.stability.row_labels import row_label
-from mbd_ros.applications.report.stability.verdicts import ASKED, COARSE
 
+_WHOLE = 0.999  # of the span
+# Colours of Okabe and Ito, which colour-blind people tell apart; the symbols do without them.
+_COLORS = {
+    CONVERGED: "#009E73",
+    BOUNDED: "#56B4E9",
+    STOPPED: "#DDDDDD",
+    WARNED: "#E69F00",
+    UNKNOWN: "#FFFFFF",
+    WRONG: "#000000",
+}
+_SYMBOLS = {CONVERGED: "", BOUNDED: "~", STOPPED: "■", WARNED: "!", UNKNOWN: "?", WRONG: "X"}
+_LINES = {
+    "rattle": "#0072B2",
+    "gauss_legendre": "#D55E00",
+    "generalized_alpha": "#CC79A7",
+    "rk4": "#009E73",
+    "dopri5": "#000000",
+}
+_DASHES = {"rattle": "-", "gauss_legendre": "--", "generalized_alpha": "-.", "rk4": ":"}
+_LEAST = 1.0e-17  # shown instead of zero
+_ROW_HEIGHT = 0.2  # inches
+_SIZE = 7.5  # pt
 # The meaning of cells, numbers and labels of the map, a sentence each.
-
 _CELLS = (
     f"{CONVERGED}: within {ASKED:g} of the size of the motion, at every time after the start that "
     "can be compared.",
@@ -60,8 +90,6 @@ MEANINGS = (
     "by differences of constraints evaluated from frame placements, complementarity, energy "
     "against the work done.",
 )
-
-
 TITLE = "Stability"
 _METHODS_TABLE = "Verdicts by method"
 _NUMBER = re.compile(r"[-+]?\d+(\.\d+)?(e[-+]?\d+)?")
@@ -99,33 +127,43 @@ def _name(row: Mapping[str, Any]) -> str:
     return f"random scene {row['seed']}" if "seed" in row else f"{row['family']}, {row_label(row)}"
 
 
-def _wrong(item: Item, outcome: Outcome) -> list[str]:
-    """Faults of an item, a line each, and how to reproduce them."""
-    lines = []
-    for row in outcome.get("random", (outcome,)):
-        spec = {"first": row["seed"], "count": 1} if "seed" in row else dict(item.spec)
-        again = f"again: mbd_ros.applications.report.stability.run({spec})"
-        for cell in row["cells"]:
-            if cell["kind"] == WRONG:
-                step = f"dt = {cell['dt']:g} s"
-                step += f", {cell['ran']:g} x recommended" if cell["ran"] else ""
-                how = f"{cell['method']}, {step if cell['dt'] else 'own steps'}"
-                how = f"{how}, tier {cell['tier']}"
-                lines.append(f"{_name(row)}, {how}: {cell['text']}; {again}")
-    return lines
+def _by_method(cells: Cells) -> Table:
+    rows = []
+    for method in COLUMNS:
+        mine = [cell for _, cell in cells if cell["method"] == method]
+        kinds = Counter(cell["kind"] for cell in mine)
+        errors = [cell["error"] for cell in mine if cell["kind"] == CONVERGED]
+        middle = f"{np.median(errors):.1e}" if errors else ""
+        rows.append([method, str(len(mine)), *(str(kinds[kind]) for kind in VERDICTS), middle])
+    columns = ["method", "cells", *VERDICTS, "median error where converged"]
+    return Table(_METHODS_TABLE, columns, rows)
 
 
-def _cells(outcome: Outcome) -> list[Mapping[str, Any]]:
-    return [cell for row in outcome.get("random", (outcome,)) for cell in row["cells"]]
+def _reasons(cells: Cells) -> Table:
+    """Every reason of a stop, without its numbers, with an example."""
+    found: dict[str, list[str]] = {}
+    for name, cell in cells:
+        if cell["kind"] == STOPPED:
+            reason = _ROW.sub("row ..", cell["text"].split("; last finite")[0])
+            reason = _NUMBER.sub("..", _SCENE.sub(r"\1:", reason))
+            found.setdefault(reason, []).append(f"{name}, {cell['method']}")
+    ordered = sorted(found.items(), key=lambda pair: (-len(pair[1]), pair[0]))
+    rows = [[reason, str(len(where)), where[0]] for reason, where in ordered[:_SHOWN]]
+    if rest := ordered[_SHOWN:]:
+        rows.append(["others", str(sum(len(where) for _, where in rest)), ""])
+    return Table("Why runs stopped", ["reason", "runs", "for example"], rows)
 
 
-def _mostly_stopped(cells: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Stops with a reason, each right by itself, so many that nothing works."""
-    short = [cell for cell in cells if 0.0 < cell["factor"] <= _SHORT]
-    stops = sum(cell["kind"] == STOPPED for cell in short)
-    if len(short) < _TELLING or 2 * stops <= len(short):
-        return []
-    return [f"{stops} of {len(short)} runs stop, at {_SHORT:g} x the recommended step or less"]
+def _steps(drawn: Sequence[Mapping[str, Any]]) -> Table:
+    cells = [cell for row in drawn for cell in row["cells"] if cell["factor"] > 0.0]
+    rows = []
+    for factor in sorted({cell["factor"] for cell in cells}):
+        mine = [cell for cell in cells if cell["factor"] == factor]
+        kinds = Counter(cell["kind"] for cell in mine)
+        ran = f"{min(c['ran'] for c in mine):.2g} to {max(c['ran'] for c in mine):.2g}"
+        rows.append([f"{factor:g}", ran, *(str(kinds[kind]) for kind in VERDICTS)])
+    columns = ["step / recommended", "was run at", *VERDICTS]
+    return Table("Random scenes by step", columns, rows)
 
 
 def _text(
@@ -148,40 +186,137 @@ def _text(
     ]
 
 
-def _by_method(cells: Cells) -> Table:
-    rows = []
-    for method in COLUMNS:
-        mine = [cell for _, cell in cells if cell["method"] == method]
-        kinds = Counter(cell["kind"] for cell in mine)
-        errors = [cell["error"] for cell in mine if cell["kind"] == CONVERGED]
-        middle = f"{np.median(errors):.1e}" if errors else ""
-        rows.append([method, str(len(mine)), *(str(kinds[kind]) for kind in VERDICTS), middle])
-    columns = ["method", "cells", *VERDICTS, "median error where converged"]
-    return Table(_METHODS_TABLE, columns, rows)
+def _wrong(item: Item, outcome: Outcome) -> list[str]:
+    """Faults of an item, a line each, and how to reproduce them."""
+    lines = []
+    for row in outcome.get("random", (outcome,)):
+        spec = {"first": row["seed"], "count": 1} if "seed" in row else dict(item.spec)
+        again = f"again: mbd_ros.applications.report.stability.run({spec})"
+        for cell in row["cells"]:
+            if cell["kind"] == WRONG:
+                step = f"dt = {cell['dt']:g} s"
+                step += f", {cell['ran']:g} x recommended" if cell["ran"] else ""
+                how = f"{cell['method']}, {step if cell['dt'] else 'own steps'}"
+                how = f"{how}, tier {cell['tier']}"
+                lines.append(f"{_name(row)}, {how}: {cell['text']}; {again}")
+    return lines
 
 
-def _steps(drawn: Sequence[Mapping[str, Any]]) -> Table:
-    cells = [cell for row in drawn for cell in row["cells"] if cell["factor"] > 0.0]
-    rows = []
-    for factor in sorted({cell["factor"] for cell in cells}):
-        mine = [cell for cell in cells if cell["factor"] == factor]
-        kinds = Counter(cell["kind"] for cell in mine)
-        ran = f"{min(c['ran'] for c in mine):.2g} to {max(c['ran'] for c in mine):.2g}"
-        rows.append([f"{factor:g}", ran, *(str(kinds[kind]) for kind in VERDICTS)])
-    columns = ["step / recommended", "was run at", *VERDICTS]
-    return Table("Random scenes by step", columns, rows)
+def _mostly_stopped(cells: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Stops with a reason, each right by itself, so many that nothing works."""
+    short = [cell for cell in cells if 0.0 < cell["factor"] <= _SHORT]
+    stops = sum(cell["kind"] == STOPPED for cell in short)
+    if len(short) < _TELLING or 2 * stops <= len(short):
+        return []
+    return [f"{stops} of {len(short)} runs stop, at {_SHORT:g} x the recommended step or less"]
 
 
-def _reasons(cells: Cells) -> Table:
-    """Every reason of a stop, without its numbers, with an example."""
-    found: dict[str, list[str]] = {}
-    for name, cell in cells:
-        if cell["kind"] == STOPPED:
-            reason = _ROW.sub("row ..", cell["text"].split("; last finite")[0])
-            reason = _NUMBER.sub("..", _SCENE.sub(r"\1:", reason))
-            found.setdefault(reason, []).append(f"{name}, {cell['method']}")
-    ordered = sorted(found.items(), key=lambda pair: (-len(pair[1]), pair[0]))
-    rows = [[reason, str(len(where)), where[0]] for reason, where in ordered[:_SHOWN]]
-    if rest := ordered[_SHOWN:]:
-        rows.append(["others", str(sum(len(where) for _, where in rest)), ""])
-    return Table("Why runs stopped", ["reason", "runs", "for example"], rows)
+def _cells(outcome: Outcome) -> list[Mapping[str, Any]]:
+    return [cell for row in outcome.get("random", (outcome,)) for cell in row["cells"]]
+
+
+def verdict_map(rows: Sequence[Mapping[str, Any]]) -> Figure:
+    """Scenes over methods; a number is the power of ten of the error.
+
+    Args:
+        rows: Outcomes of extreme scenes.
+    """
+    height = _ROW_HEIGHT * len(rows) + 1.6
+    figure = Figure(figsize=(8.0, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots()
+    shade = np.full((len(rows), len(COLUMNS)), np.nan)
+    for i, row in enumerate(rows):
+        for cell in row["cells"]:
+            k = COLUMNS.index(cell["method"])
+            shade[i, k] = VERDICTS.index(cell["kind"])
+            color = "white" if cell["kind"] == WRONG else "black"
+            axes.text(k, i, _symbol(cell), ha="center", va="center", fontsize=_SIZE, color=color)
+    colors = ListedColormap([_COLORS[kind] for kind in VERDICTS])
+    axes.imshow(shade, cmap=colors, vmin=-0.5, vmax=len(VERDICTS) - 0.5, aspect="auto")
+    names = [_label(rows, i) for i in range(len(rows))]
+    axes.set_yticks(range(len(rows)), names, fontsize=_SIZE, parse_math=False)
+    names = [name.replace("_", "\n") for name in COLUMNS]
+    axes.set_xticks(range(len(COLUMNS)), names, fontsize=_SIZE)
+    axes.xaxis.tick_top()
+    axes.tick_params(length=0)
+    _separate(axes, rows)
+    shown = [Patch(fc=_COLORS[k], ec="gray", label=f"{_SYMBOLS[k]} {k}".strip()) for k in VERDICTS]
+    figure.legend(handles=shown, loc="outside lower center", ncols=len(shown), fontsize=_SIZE)
+    return figure
+
+
+def _symbol(cell: Mapping[str, Any]) -> str:
+    symbol, error = _SYMBOLS[cell["kind"]], float(cell["error"])
+    if cell["kind"] not in (CONVERGED, BOUNDED) or not 0.0 < error < math.inf:
+        return symbol
+    return f"{symbol} {math.ceil(math.log10(error))}".strip()
+
+
+def _label(rows: Sequence[Mapping[str, Any]], i: int) -> str:
+    row = rows[i]
+    is_first = i == 0 or rows[i - 1]["family"] != row["family"]
+    return f"{row['family']}: {row_label(row)}" if is_first else row_label(row)
+
+
+def _separate(axes: Any, rows: Sequence[Mapping[str, Any]]) -> None:
+    """A line between families, and white ones between cells."""
+    axes.set_xticks(np.arange(-0.5, len(COLUMNS)), minor=True)
+    axes.set_yticks(np.arange(-0.5, len(rows)), minor=True)
+    axes.grid(which="minor", color="white", lw=0.6)
+    axes.tick_params(which="minor", length=0)
+    for i in range(1, len(rows)):
+        if rows[i]["family"] != rows[i - 1]["family"]:
+            axes.axhline(i - 0.5, color="black", lw=0.8)
+
+
+def long_run_plot(title: str, runs: Sequence[Mapping[str, Any]]) -> Figure:
+    """Energy error and constraint violation over time, one line a method.
+
+    Args:
+        title: Above the picture.
+        runs: Outcomes of long runs of one scene.
+    """
+    has_rows = any(max(run["series"]["open"], default=0.0) > 0.0 for run in runs)
+    figure = Figure(figsize=(8.0, 5.4 if has_rows else 3.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    panels = figure.subplots(2 if has_rows else 1, sharex=True, squeeze=False)[:, 0]
+    for run in runs:
+        series, name = run["series"], run["method"]
+        style = {"color": _LINES[name], "ls": _DASHES.get(name, "-"), "lw": 1.0}
+        times = np.array(series["t"]) / 3600.0
+        energy = np.abs(series["energy"]) / run.get("swing", 1.0)
+        panels[0].semilogy(times, np.maximum(energy, _LEAST), label=name, **style)
+        if has_rows:
+            panels[1].semilogy(times, np.maximum(series["open"], _LEAST), **style)
+    panels[0].set_ylabel("|energy error| / largest kinetic energy")
+    if has_rows:
+        panels[1].set_ylabel("largest |g| [m or rad]")
+    panels[-1].set_xlabel("simulated time [h]")
+    panels[0].set_title(f"{title}: {max(run['steps'] for run in runs):.0e} steps")
+    for axes in panels:
+        axes.grid(alpha=0.3)
+    figure.legend(loc="outside lower center", ncols=len(runs), fontsize=8)
+    return figure
+
+
+def row_label(row: Mapping[str, Any]) -> str:
+    """Label, with the steps that were run where others were asked for, and the compared time.
+
+    Args:
+        row: Outcome of an extreme scene, or of one of a user.
+    """
+    label = str(row["label"])
+    if "x recommended" in label:
+        label += _other_steps(row)
+    if "span" in row and row["known_until"] < _WHOLE * row["span"]:
+        label += f" (compared to {row['known_until']:.3g} of {row['span']:.3g} s)"
+    return label
+
+
+def _other_steps(row: Mapping[str, Any]) -> str:
+    ran = [cell["ran"] for cell in row["cells"] if is_another(row["factor"], cell["ran"])]
+    if not ran:
+        return ""
+    least, most = (f"{end(ran):.3g}" for end in (min, max))
+    return f" ({least if least == most else f'{least} to {most}'} x)"

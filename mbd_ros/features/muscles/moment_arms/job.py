@@ -14,8 +14,7 @@ from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.columns import joint_columns
 from mbd_ros.motion.derivatives import Derivatives, differentiate
-from mbd_ros.motion.recordings import Source, name_of, read_motion
-from mbd_ros.motion.result_metadata import metadata_of
+from mbd_ros.motion.recordings import Source, metadata_of, name_of, read_motion
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.path_search import QuickestSearch
 

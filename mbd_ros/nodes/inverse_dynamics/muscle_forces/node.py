@@ -7,14 +7,87 @@ from geometry_msgs.msg import WrenchStamped
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray
 
+from mbd_ros.features.muscles.static_optimization import EXPONENTS
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
-from mbd_ros.nodes.inverse_dynamics.muscle_forces.parameters import PARAMETERS
 from mbd_ros.nodes.inverse_dynamics.muscle_forces.pipeline import MusclePipeline
 from mbd_ros.nodes.inverse_dynamics.node import InverseDynamicsNode
 from mbd_ros.nodes.shell.joint_state_stream import SENSOR
+from mbd_ros.nodes.shell.parameters import STREAM, Parameter
 from msg_adapters.errors import MessageError
 
 DEPTH = 100  # a reader may be away for 0.1 s at 1 kHz
+PARAMETERS = (
+    *STREAM,
+    Parameter(
+        "objective",
+        str,
+        "What the activations make least, as of `mbd-ros muscles`.",
+        "activation",
+        choices=tuple(EXPONENTS),
+    ),
+    Parameter(
+        "exponent",
+        float,
+        "Of the activations, from 1 on; 0 for that of the objective.",
+        0.0,
+        low=0.0,
+        high=10.0,
+    ),
+    Parameter("passive", bool, "Passive force of the fibres takes part.", False),
+    Parameter(
+        "reserves",
+        float,
+        "Optimal force of a reserve on every coordinate [N·m, N]; 0 for none.",
+        1.0,
+        low=0.0,
+        high=1.0e9,
+    ),
+    Parameter(
+        "reserve_file",
+        str,
+        "Reserves from actuators of OpenSim (.xml) in place of these; empty for none.",
+        "",
+    ),
+    Parameter(
+        "rise", float, "Fastest rise of an activation [1/s]; 0 for any.", 0.0, low=0.0, high=1.0e9
+    ),
+    Parameter(
+        "fall", float, "Fastest fall of an activation [1/s]; 0 for any.", 0.0, low=0.0, high=1.0e9
+    ),
+    Parameter(
+        "emg_use",
+        str,
+        "Measured activations on ~/emg: none are heard, activations are near them (track), or not "
+        "below them (least).",
+        "none",
+        choices=("none", "track", "least"),
+    ),
+    Parameter(
+        "emg_weight",
+        float,
+        "Of the squared distance from measured activations.",
+        10.0,
+        low=1.0e-9,
+        high=1.0e9,
+    ),
+    Parameter(
+        "emg_max_age",
+        float,
+        "How long measured activations stand [s].",
+        0.1,
+        low=0.0,
+        high=60.0,
+    ),
+    Parameter(
+        "reactions",
+        str,
+        "Loads of joints to publish: none, on the child in its axes, on the parent in its axes, "
+        "or on the child in world axes (ground).",
+        "none",
+        choices=("none", "child", "parent", "ground"),
+    ),
+    Parameter("links", list[str], "Links whose joint is asked for; empty for all with mass.", ()),
+)
 
 
 class MuscleForcesNode(InverseDynamicsNode):

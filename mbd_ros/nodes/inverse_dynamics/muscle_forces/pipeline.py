@@ -17,9 +17,8 @@ from mbd_ros.features.muscles.task import muscles_task
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
-from mbd_ros.nodes.inverse_dynamics.muscle_forces.parameters import options
 from mbd_ros.nodes.inverse_dynamics.pipeline import Pipeline
-from mbd_ros.nodes.shell.stream_parameters import tuning
+from mbd_ros.nodes.shell.parameters import tuning
 from mbd_ros.scene.describe.scene_summary import coordinate_names
 from msg_adapters.diagnostics import OK
 from msg_adapters.errors import MessageError
@@ -290,3 +289,19 @@ class MeasuredActivations:
         """Values that stand, NaN for the others, shape (n,)."""
         fresh = self._clock() - self._heard <= self._max_age
         return np.where(fresh, self._values, np.nan)
+
+
+def options(values: Any) -> dict[str, Any]:
+    """The section `muscles` of a task file that says the same as parameters.
+
+    Measured activations come on a topic: their use is not in it.
+    """
+    given: dict[str, Any] = {"objective": values.objective, "passive": values.passive}
+    for name in ("exponent", "rise", "fall", "reserves"):
+        if getattr(values, name) > 0.0:
+            given[name] = getattr(values, name)
+    if values.reserve_file:
+        given["reserves"] = values.reserve_file
+    if values.reactions != "none":
+        given |= {"reactions": values.reactions, "links": list(values.links)}
+    return given

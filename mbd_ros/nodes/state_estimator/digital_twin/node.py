@@ -1,5 +1,7 @@
 """Node `digital_twin`: a few measurements of a machine in, all of it out, with alarms."""
 
+from __future__ import annotations
+
 from typing import Any
 
 from geometry_msgs.msg import WrenchStamped
@@ -8,12 +10,62 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from mbd_ros.errors import MbdError
-from mbd_ros.nodes.state_estimator.digital_twin.parameters import PARAMETERS
+from mbd_ros.nodes.shell.parameters import Parameter, tunable
 from mbd_ros.nodes.state_estimator.digital_twin.pipeline import TwinPipeline
-from mbd_ros.nodes.state_estimator.messages import EstimateMessages
 from mbd_ros.nodes.state_estimator.node import DEPTH, StateEstimatorNode
+from mbd_ros.nodes.state_estimator.parameters import ESTIMATION
+from mbd_ros.nodes.state_estimator.pipeline import EstimateMessages
 from msg_adapters.time import write_time
 
+PARAMETERS = (
+    *ESTIMATION,
+    Parameter(
+        "reactions",
+        list[str],
+        "Joints whose reactions are published on `~/reactions/<joint>`; `all` for every one.",
+        (),
+    ),
+    tunable("horizon", 1.0, 1e-3, 60.0, "Time that `~/predict` predicts [s]."),
+    tunable("prediction_step", 0.01, 1e-3, 1.0, "Between two points of a prediction [s]."),
+    Parameter(
+        "look_ahead",
+        float,
+        "Singular configurations that are no farther away are flagged [s].",
+        0.05,
+        low=1e-3,
+        high=1.0,
+    ),
+    Parameter(
+        "amplification",
+        float,
+        "Amplification of errors of what is measured from which a configuration is singular.",
+        100.0,
+        low=1.0,
+        high=1e9,
+    ),
+    Parameter(
+        "alarm_threshold",
+        float,
+        "Cumulative sum of residuals, in deviations, that is an alarm.",
+        30.0,
+        low=1.0,
+        high=1e6,
+    ),
+    Parameter(
+        "hypotheses",
+        list[str],
+        "Faults that may be named: `<name>: <part>.<argument>=<number>, ..`, one a text.",
+        (),
+    ),
+    Parameter(
+        "naming_window",
+        float,
+        "Time over which faults are compared [s].",
+        1.0,
+        low=0.01,
+        high=600.0,
+    ),
+)
 _NS = 1_000_000_000  # ns in a second
 
 
