@@ -18,8 +18,7 @@ from mbd_ros.compiled.build.library import load
 from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.code.source import Signature
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
-from mbd_ros.compiled.runs.native_run import NativeRun, held_inputs
-from mbd_ros.compiled.runs.run_source import Sizes, with_integrators
+from mbd_ros.compiled.runs.native_run import NativeRun, Sizes, held_inputs, with_integrators
 from mbd_ros.core.state import Array
 from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.simulation.samples import sample_times

@@ -16,7 +16,7 @@ TWO = two_joints()
 @pytest.fixture(autouse=True)
 def _untimed(monkeypatch):
     """`check` times a call once: here its lines count, not the cost that it prints."""
-    monkeypatch.setattr("mbd_ros.scene.describe.costs.MEASURED", 0.0)
+    monkeypatch.setattr("mbd_ros.scene.describe.check.MEASURED", 0.0)
 
 
 def scene_case(*, command="simulate", robot=None, words=(), files=(), **sections):

@@ -26,7 +26,7 @@ from mbd_ros.core.complementarity.contact_problem import ContactProblem
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint_rows import Cone
 from mbd_ros.core.state import State
-from mbd_ros.methods.simulation.stepper import stepper_of
+from mbd_ros.methods.simulation.checked_steps import stepper_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part

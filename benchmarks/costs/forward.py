@@ -22,7 +22,7 @@ from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.state import State
-from mbd_ros.methods.simulation.stepper import stepper_of
+from mbd_ros.methods.simulation.checked_steps import stepper_of
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.reading.part_entries import build_part
 from mbd_ros.scene.schema.locate import find_file

@@ -7,8 +7,8 @@ in axes of the body.
 import numpy as np
 
 from mbd_ros.core.state import Array, BodyMotion
+from mbd_ros.files.bag_paths import WORLD
 from mbd_ros.files.table import Column
-from mbd_ros.files.topics import WORLD
 
 Words = tuple[tuple[str, str, str], ...]  # quantity, components, unit
 POSE: Words = (("position", "xyz", "m"), ("orientation", "xyzw", ""))

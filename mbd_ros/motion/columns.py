@@ -14,10 +14,10 @@ from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.state import Array, BodyMotion
 from mbd_ros.errors import DataError
+from mbd_ros.files.bag_paths import by_member, joint_state_topic, odometry_topic
 from mbd_ros.files.body_columns import motion_columns, residual_columns
 from mbd_ros.files.laboratory.markers import SCREEN
 from mbd_ros.files.table import Column
-from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic
 
 _UNITS = {  # quantity -> of a joint that turns, of one that slides
     "position": ("rad", "m"),

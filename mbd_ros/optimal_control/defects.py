@@ -18,8 +18,7 @@ import numpy as np
 
 from mbd_ros.compiled.symbols.charts import CurvedChart
 from mbd_ros.core.state import Array
-from mbd_ros.optimal_control.collocation import Collocation
-from mbd_ros.optimal_control.mesh import Numbers
+from mbd_ros.optimal_control.mesh import Collocation, Numbers
 from mbd_ros.optimal_control.phase_equations import LETTERS, PhaseEquations
 from mbd_ros.optimal_control.phase_motion import BODY, Unknowns
 from mbd_ros.optimal_control.sparse_program import Block, Form, Places

@@ -21,8 +21,8 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.events.crossings import Combination, ConeRoom, Force, Gap
 from mbd_ros.methods.events.phases import Exit, Relabelling
-from mbd_ros.optimal_control.collocation import Collocation
 from mbd_ros.optimal_control.limits import cone_of, force_of, held_limits, weight_of
+from mbd_ros.optimal_control.mesh import Collocation
 from mbd_ros.optimal_control.motion_phase import MotionPhase
 from mbd_ros.optimal_control.phase_equations import PhaseEquations
 from mbd_ros.optimal_control.phase_motion import Unknowns

@@ -24,7 +24,7 @@ from mbd_ros.core.ranges import NotZero
 from mbd_ros.core.rows.constraint import Constraint
 from mbd_ros.core.rows.constraint_rows import RowLayout
 from mbd_ros.core.rows.coupling_rows import CouplingRows
-from mbd_ros.core.rows.held_contact import HeldContact
+from mbd_ros.core.rows.frame_rows import HeldContact
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError, SceneError

@@ -73,10 +73,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _write(arguments: argparse.Namespace, scene: "Scene") -> int:
     """Write the motion as one file."""
     from mbd_ros.files.output_file import replacing
+    from mbd_ros.view.controls import Rerun
     from mbd_ros.view.frames import Frames
     from mbd_ros.view.motion import viewed_motion
     from mbd_ros.view.recording import animated_page
-    from mbd_ros.view.rerun import Rerun
 
     out, topic = arguments.out, arguments.topic
     if out.suffix != ".html":

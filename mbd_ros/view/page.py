@@ -14,12 +14,11 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, MbdError
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.view.controls import Controls
+from mbd_ros.view.controls import Controls, Rerun
 from mbd_ros.view.curves import MotionCurves
 from mbd_ros.view.drawing import Drawing
 from mbd_ros.view.frames import Frames
 from mbd_ros.view.motion import ViewedMotion, still, viewed_motion
-from mbd_ros.view.rerun import Rerun
 from mbd_ros.view.server import PageServer
 
 _RATE = 30.0  # frames a second, at most

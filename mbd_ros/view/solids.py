@@ -24,7 +24,7 @@ from mbd_ros.core.model.urdf import parse_urdf
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.reading.link_geometry import Collision, geometry_of, names_of_link
+from mbd_ros.scene.reading.robot_entry import Collision, geometry_of, names_of_link
 from mbd_ros.view import surfaces
 from mbd_ros.view.frames import upright
 from mbd_ros.view.surfaces import Surface

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from mbd_ros.compiled.build.library import load
+from mbd_ros.compiled.code.c_function import CodeError
 from mbd_ros.compiled.code.emit import emit
-from mbd_ros.compiled.code.instructions import CodeError
 
 
 def every_operation():

@@ -11,7 +11,7 @@ from mbd_ros.applications.demo.files import (
 from mbd_ros.applications.demo.task import ROBOTS, disturbance, trajectory
 from mbd_ros.methods.control.contract import Reference
 from mbd_ros.methods.control.sliding_mode import mismatch, sliding_variable
-from mbd_ros.methods.projection.observed_state import ObservedState
+from mbd_ros.methods.projection.state_projection import ObservedState
 from mbd_ros.scene.reader import load_scene
 
 LAM = 20.0  # 1/s, bandwidth of the demo

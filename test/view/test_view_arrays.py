@@ -10,12 +10,11 @@ from mbd_ros.api import load_scene, scene_from
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.scene.schema.locate import embedded_scenes
 from mbd_ros.view import surfaces
-from mbd_ros.view.controls import mp4
+from mbd_ros.view.controls import Rerun, mp4
 from mbd_ros.view.curves import ALL, Curves, MotionCurves, cursor
 from mbd_ros.view.frames import COUPLING, Frames, arrow_ends, cone_lines, tension_colours, upright
 from mbd_ros.view.motion import still, viewed_motion
 from mbd_ros.view.page import advanced, nearest_row
-from mbd_ros.view.rerun import Rerun
 from mbd_ros.view.solids import equal_box, solids_of, solids_of_scene
 
 ARM = """

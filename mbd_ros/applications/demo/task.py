@@ -8,7 +8,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.methods.control.efforts import MobilityFactor
-from mbd_ros.methods.projection.observed_state import ObservedState
+from mbd_ros.methods.projection.state_projection import ObservedState
 from mbd_ros.scene.built_scene import Scene
 
 WALKING = "swing of a leg with nine muscles, from markers to the load of the knee"

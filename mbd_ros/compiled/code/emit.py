@@ -9,8 +9,7 @@ from typing import Any, Literal
 
 import casadi as ca
 
-from mbd_ros.compiled.code.c_function import c_function
-from mbd_ros.compiled.code.instructions import CodeError, instructions, with_reciprocals
+from mbd_ros.compiled.code.c_function import CodeError, c_function, instructions, with_reciprocals
 from mbd_ros.compiled.code.source import Signature, Source
 from mbd_ros.compiled.symbols.path_tables import NATIVE, c_row, row_of, search_text
 from mbd_ros.compiled.symbols.searched_paths import SearchedPaths

@@ -11,10 +11,9 @@ from mbd_ros.compiled.build.library import Library, load
 from mbd_ros.compiled.build.verify import verify
 from mbd_ros.compiled.code.emit import emitted
 from mbd_ros.compiled.runs.event_stepper import EventStepper, ModeStepper
-from mbd_ros.compiled.runs.native_run import NativeRun
+from mbd_ros.compiled.runs.native_run import NativeRun, Sizes, with_integrators
 from mbd_ros.compiled.runs.native_stepper import NativeStepper
 from mbd_ros.compiled.runs.run_layout import internal_bounds
-from mbd_ros.compiled.runs.run_source import Sizes, with_integrators
 from mbd_ros.compiled.symbols.trace import Traced, trace
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.contact_modes.row_distances import Reach
@@ -24,7 +23,7 @@ from mbd_ros.methods.integration.adapted_steps import TurnedSteps
 from mbd_ros.methods.integration.linear_motion import LinearMotion
 from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.projection.assembly import Stabilization
-from mbd_ros.methods.simulation.stepper import happenings, prepared
+from mbd_ros.methods.simulation.checked_steps import happenings, prepared
 
 Say = Callable[[str], None]
 

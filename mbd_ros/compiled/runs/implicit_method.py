@@ -24,7 +24,7 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import MbdError
 from mbd_ros.methods.integration.stepping import Stepper
-from mbd_ros.methods.simulation.stepper import happenings, prepared
+from mbd_ros.methods.simulation.checked_steps import happenings, prepared
 
 _SEED = 22
 _STEP = 1.0e-4  # along a direction of length 1: differences are good to 1e-6

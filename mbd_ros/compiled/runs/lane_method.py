@@ -9,8 +9,8 @@ from mbd_ros.compiled.build.verify import verify
 from mbd_ros.compiled.code.emit import emit
 from mbd_ros.compiled.runs.compiled_method import CompiledMethod
 from mbd_ros.compiled.runs.lane_runs import LaneRuns
+from mbd_ros.compiled.runs.native_run import with_integrators
 from mbd_ros.compiled.runs.run_layout import internal_bounds
-from mbd_ros.compiled.runs.run_source import with_integrators
 from mbd_ros.compiled.symbols.trace import Traced
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 from mbd_ros.core.contracts import type_name

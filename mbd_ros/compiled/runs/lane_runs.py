@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.compiled.build.library import Library, aligned
+from mbd_ros.compiled.runs.native_run import Sizes
 from mbd_ros.compiled.runs.run_layout import method_options
-from mbd_ros.compiled.runs.run_source import Sizes
 from mbd_ros.core.state import Array
 from mbd_ros.methods.integration.stepping import Integrator
 

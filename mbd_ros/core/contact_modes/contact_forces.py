@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.complementarity.contact_problem import ContactProblem
 from mbd_ros.core.optimization.box_qp import exchanged, least_norm
-from mbd_ros.core.optimization.redundant_equations import least_balanced
+from mbd_ros.core.optimization.least_norm import least_balanced
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TIE, ZERO_ROW

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.contact_modes.contact_forces import ContactForces, Split, Touch
 from mbd_ros.core.contact_modes.slip_directions import direction, is_fine, slowest
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.optimization.redundant_equations import balanced, least_balanced
+from mbd_ros.core.optimization.least_norm import balanced, least_balanced
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, Mode, State

@@ -17,10 +17,10 @@ from mbd_ros.core.geometry.feature_gaps import (
     framed,
     nearest_bases,
 )
-from mbd_ros.core.geometry.polyhedron import CORNERS
+from mbd_ros.core.geometry.shapes import CORNERS
 from mbd_ros.core.geometry.simple_bodies import BESIDE
+from mbd_ros.core.kinematics.poses import cross, dot, lengths
 from mbd_ros.core.kinematics.relative_motion import PairMotion
-from mbd_ros.core.kinematics.vectors import cross, dot, lengths
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array
 

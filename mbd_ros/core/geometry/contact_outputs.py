@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.contracts import Kind, Output, Value, Wrench, exerted_on
 from mbd_ros.core.geometry.contact_pair import ContactPair
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.kinematics.vectors import cross
+from mbd_ros.core.kinematics.poses import cross
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State

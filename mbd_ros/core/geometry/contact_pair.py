@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.geometry.feature_gaps import Meeting, nearest_bases
-from mbd_ros.core.geometry.polyhedron import Polyhedron, box_of, line_of, prism_of
 from mbd_ros.core.geometry.shapes import (
     Balls,
     Between,
@@ -22,10 +21,14 @@ from mbd_ros.core.geometry.shapes import (
     HalfSpace,
     Mesh,
     Points,
+    Polyhedron,
     Shape,
     Side,
     Sphere,
     balls_of,
+    box_of,
+    line_of,
+    prism_of,
     suffix,
 )
 from mbd_ros.core.geometry.simple_bodies import BallsOnBalls, BallsOnPlane

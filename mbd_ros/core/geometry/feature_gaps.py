@@ -17,8 +17,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.kinematics.poses import cross, dot
 from mbd_ros.core.kinematics.relative_motion import PairMotion, Pose
-from mbd_ros.core.kinematics.vectors import cross, dot
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array, is_symbol
 

@@ -16,10 +16,9 @@ from mbd_ros.core.geometry.feature_gaps import (
     framed,
     nearest_bases,
 )
-from mbd_ros.core.geometry.polyhedron import Polyhedron
-from mbd_ros.core.geometry.shapes import Balls, Box, Capsule, Cylinder, Mesh
+from mbd_ros.core.geometry.shapes import Balls, Box, Capsule, Cylinder, Mesh, Polyhedron
+from mbd_ros.core.kinematics.poses import cross, dot, lengths
 from mbd_ros.core.kinematics.relative_motion import PairMotion
-from mbd_ros.core.kinematics.vectors import cross, dot, lengths
 from mbd_ros.core.model.points import Pair
 from mbd_ros.core.state import Array, is_symbol
 

@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.complementarity.unilateral_impulses import PushImpulses
+from mbd_ros.core.complementarity.bounded_rows import PushImpulses
 from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism, RigidRows
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.rows.constraint import Kind

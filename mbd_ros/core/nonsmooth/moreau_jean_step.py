@@ -28,7 +28,7 @@ from itertools import chain
 
 import numpy as np
 
-from mbd_ros.core.complementarity.unilateral_impulses import PushImpulses
+from mbd_ros.core.complementarity.bounded_rows import PushImpulses
 from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism, RigidRows
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.dynamics.world_axes import FreeBodies
@@ -362,8 +362,7 @@ def rows_of_step(
     """The unilateral and bounded rows of steps, and what solves for them."""
     if not rows.cones:
         return StepRows(mechanism, rows), UnilateralSolver(rows)
-    from mbd_ros.core.nonsmooth.contact_screening import ContactScreening
-    from mbd_ros.core.nonsmooth.contact_step import ContactSolver
+    from mbd_ros.core.nonsmooth.contact_step import ContactScreening, ContactSolver
 
     is_whole = system.nv == system.model.nv
     return ContactScreening(mechanism, rows, is_whole), ContactSolver(rows, theta)

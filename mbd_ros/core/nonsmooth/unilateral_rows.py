@@ -20,8 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.complementarity.bounded_rows import BoundedImpulses
-from mbd_ros.core.complementarity.unilateral_impulses import PushImpulses
+from mbd_ros.core.complementarity.bounded_rows import BoundedImpulses, PushImpulses
 from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.nonsmooth.implicit_loads import Slopes

@@ -22,8 +22,8 @@ from mbd_ros.features.gait.search import (
 from mbd_ros.features.gait.task import BasinTask, gait_task
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
 from mbd_ros.jobs.workers.task import Task
+from mbd_ros.methods.sensitivities.flow import Travel
 from mbd_ros.methods.sensitivities.simulated_flow import SimulatedFlow
-from mbd_ros.methods.sensitivities.travel import Travel
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 

@@ -14,7 +14,7 @@ import numpy as np
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import FORGOTTEN
 from mbd_ros.errors import FallError, SolveError
-from mbd_ros.methods.sensitivities.flow import HybridFlow, Segment
+from mbd_ros.methods.sensitivities.flow import HybridFlow, Segment, Travel
 from mbd_ros.methods.sensitivities.saltation import (
     landed,
     landing,
@@ -22,7 +22,6 @@ from mbd_ros.methods.sensitivities.saltation import (
     through,
     transition,
 )
-from mbd_ros.methods.sensitivities.travel import Travel
 
 _CLOSED = 1.0e-11  # of 1 + the largest entry of the state: a residual that is none
 _ACCEPTED = 1.0e-9  # the same: enough where steps gain no more

@@ -22,9 +22,8 @@ from mbd_ros.errors import FallError, MbdError, ModelError, SceneError, SolveErr
 from mbd_ros.features.gait.periodic import PeriodicMotion, ReturnMap, periodic_motion
 from mbd_ros.features.gait.task import GaitTask, Grid
 from mbd_ros.jobs.progress import Say, progress
-from mbd_ros.methods.sensitivities.flow import Segment
+from mbd_ros.methods.sensitivities.flow import Segment, Travel, TravelCoordinate
 from mbd_ros.methods.sensitivities.simulated_flow import EndsCycle, SimulatedFlow
-from mbd_ros.methods.sensitivities.travel import Travel, TravelCoordinate
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.runs.simulation import build_simulation

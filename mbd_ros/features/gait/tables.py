@@ -15,8 +15,8 @@ from mbd_ros.features.gait.periodic import PeriodicMotion
 from mbd_ros.features.gait.search import Gait
 from mbd_ros.features.gait.task import GaitTask
 from mbd_ros.files.table import TIME, Column, Table
+from mbd_ros.methods.sensitivities.flow import Travel
 from mbd_ros.methods.sensitivities.simulated_flow import SimulatedFlow
-from mbd_ros.methods.sensitivities.travel import Travel
 from mbd_ros.motion.columns import body_columns, joint_columns, whole_bodies
 from mbd_ros.motion.state_table import table_of
 from mbd_ros.scene.built_scene import Scene

@@ -22,7 +22,7 @@ from mbd_ros.features.inverse_dynamics.result import (
     result_metadata,
 )
 from mbd_ros.files.bags.bag_recordings import MotionBlocks, WholeNeededError
-from mbd_ros.files.bags.spool import Spool, StampSpool
+from mbd_ros.files.bags.bag_writer import Spool, StampSpool
 from mbd_ros.files.table import MAIN, Result, Table, time_columns
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, watching

@@ -24,7 +24,7 @@ import pinocchio as pin
 from mbd_ros.core.contracts import Load, Wrench
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.kinematics.paths.paths import Path
-from mbd_ros.core.kinematics.vectors import cross
+from mbd_ros.core.kinematics.poses import cross
 from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import BodyLoads
 from mbd_ros.core.model.robot import WORLD, Recipe, Robot

@@ -21,7 +21,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from mbd_ros.core.kinematics.vectors import cross
+from mbd_ros.core.kinematics.poses import cross
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot

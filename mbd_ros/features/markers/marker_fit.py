@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.model.robot import Robot
-from mbd_ros.core.optimization.batch_box_qp import box_moves
+from mbd_ros.core.optimization.box_qp import box_moves
 from mbd_ros.core.rows.constraint import Constraint, Level
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
 from mbd_ros.core.state import Array, State

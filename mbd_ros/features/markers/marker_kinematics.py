@@ -26,7 +26,7 @@ from mbd_ros.features.markers.marker_cost import MarkerCost, Seen
 from mbd_ros.features.markers.marker_fit import Bools, Fit, LoopRows, MarkerFit
 from mbd_ros.features.markers.marker_trial import first_frame, fit_trial
 from mbd_ros.files.table import TIME
-from mbd_ros.methods.projection.independent_limits import independent_limits
+from mbd_ros.methods.projection.coupled_joints import independent_limits
 from mbd_ros.motion.recordings import Capture, Source, name_of, read_columns
 from mbd_ros.parts.sensors.marker import Marker
 from mbd_ros.scene.built_scene import Scene

@@ -11,7 +11,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.output_file import replacing
 from mbd_ros.scene.models.imported_model import Imported
 from mbd_ros.scene.models.model_entry import brought_sections, format_of, import_model
-from mbd_ros.scene.models.names import plain
+from mbd_ros.scene.models.urdf_text import plain
 from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.reader import build_scene
 from mbd_ros.scene.schema.strict_yaml import mapping_of

@@ -32,7 +32,7 @@ from mbd_ros.features.muscles.muscle_trial import (
 from mbd_ros.features.muscles.static_optimization import Shares, StaticOptimization, sizes_of
 from mbd_ros.jobs.progress import announce
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
-from mbd_ros.optimal_control.collocation import RADAU, Collocation, collocation
+from mbd_ros.optimal_control.mesh import RADAU, Collocation, collocation
 
 _NEAR = 1.0  # longest intervals beside one that is cut: muscles forget over some 0.02 s
 _HALVINGS = 4  # of intervals, at either end: activations change fastest there

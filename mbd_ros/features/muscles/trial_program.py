@@ -31,8 +31,8 @@ from mbd_ros.core.muscles.contraction import Contraction, Fiber, Pennation
 from mbd_ros.core.muscles.muscle import ActivationDynamics, Muscle
 from mbd_ros.core.state import Array
 from mbd_ros.features.muscles.muscle_trial import Excited, Optimal, Trial
-from mbd_ros.optimal_control.collocation import Collocation
 from mbd_ros.optimal_control.ipopt import Solved, solve
+from mbd_ros.optimal_control.mesh import Collocation
 from mbd_ros.optimal_control.sparse_program import Block, Form, Places, SparseProgram
 
 _ROUNDED = 1.0e-3  # kink of a price at 0: of full excitation and of the optimal force of a reserve

@@ -39,7 +39,7 @@ from mbd_ros.features.sampling.space import HeldSpace, WeightedSpace
 from mbd_ros.features.sampling.task import SampleTask
 from mbd_ros.files.output_file import replacing
 from mbd_ros.jobs.progress import progress
-from mbd_ros.jobs.workers.arrays import pack, unpack
+from mbd_ros.jobs.workers.task import pack, unpack
 
 _KEYS = ("q", "v", "sweeps", "dt")  # of a checkpoint in a file, beside the number of a block
 _LARGEST = 256  # chains of a block

@@ -20,10 +20,9 @@ from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, RUN, TIME, Column, Result, Table
 from mbd_ros.files.tables.csv import Numbers, read_table
 from mbd_ros.jobs.progress import Say
-from mbd_ros.jobs.workers.arrays import pack, unpack
 from mbd_ros.jobs.workers.opening import do_all, open_workers
 from mbd_ros.jobs.workers.task import Result as Done
-from mbd_ros.jobs.workers.task import Task
+from mbd_ros.jobs.workers.task import Task, pack, unpack
 from mbd_ros.motion.columns import body_columns, joint_columns, whole_bodies
 from mbd_ros.motion.recordings import metadata_of
 from mbd_ros.scene.built_scene import Scene

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from mbd_ros.core.kinematics.poses import with_steady_signs
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
+from mbd_ros.files.bag_paths import beside, by_member, joint_state_topic, odometry_topic
 from mbd_ros.files.bags.bag_reader import CORRUPT, RawBlock, messages, raw_blocks, topic_types
 from mbd_ros.files.bags.bag_types import JOINT_STATE, ODOMETRY, WRENCH, from_cdr
 from mbd_ros.files.recording import NO_BODIES, Recording
-from mbd_ros.files.topics import beside, by_member, joint_state_topic, odometry_topic
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state import JointSample, JointStateReader
 from msg_adapters.joint_state_cdr import JointStateRowsReader

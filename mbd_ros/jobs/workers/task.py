@@ -1,15 +1,23 @@
 """A piece of work that may be done anywhere, and its result."""
 
+import base64
 import importlib
 import json
 import math
 import platform
 import time
 import traceback
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
+
+import numpy as np
+
+from mbd_ros.core.state import Array
+
+# ---- task -------------------------------------------------------------------------------------
+# A piece of work that may be done anywhere, and its result.
 
 
 class Task(NamedTuple):
@@ -75,3 +83,19 @@ def cpu() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
+
+
+# ---- arrays -----------------------------------------------------------------------------------
+# Arrays as JSON holds them, to the bit: what goes to workers and comes back.
+
+
+def pack(values: Array) -> list[Any]:
+    """An array of numbers as its shape and a text."""
+    data = np.ascontiguousarray(values, dtype="<f8").tobytes()
+    return [list(values.shape), base64.b64encode(data).decode()]
+
+
+def unpack(packed: Sequence[Any]) -> Array:
+    """The array that `pack` was given."""
+    shape, data = packed
+    return np.frombuffer(base64.b64decode(data), dtype="<f8").reshape(shape).copy()

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import eigenpy
 import numpy as np
 
-from mbd_ros.core.optimization.row_bounded_qp import Optimum, RowBoundedQp
+from mbd_ros.core.optimization.hard_soft_qp import Optimum, RowBoundedQp
 from mbd_ros.core.state import NONE as _NONE
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError

@@ -16,8 +16,7 @@ from mbd_ros.core.state import Array, Memory, Mode, State
 from mbd_ros.errors import JammedError, SolveError
 from mbd_ros.methods.events.clearance import Clearance
 from mbd_ros.methods.events.event import Event, EventLog
-from mbd_ros.methods.events.mode_decision import decided
-from mbd_ros.methods.events.mode_field import Margin, ModeField
+from mbd_ros.methods.events.mode_field import Margin, ModeField, decided
 from mbd_ros.methods.events.step_events import StepEvents
 from mbd_ros.methods.integration.stepping import Stepper
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.contracts import Load, Output, label, without_multiplier
 from mbd_ros.core.kinematics.kinematics import Kinematics
-from mbd_ros.core.kinematics.vectors import cross
+from mbd_ros.core.kinematics.poses import cross
 from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import BodyLoads
 from mbd_ros.core.model.robot import Robot

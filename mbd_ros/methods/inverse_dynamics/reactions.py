@@ -11,7 +11,7 @@ import pinocchio as pin
 from mbd_ros.core.contracts import Load, Wrench
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
-from mbd_ros.core.kinematics.vectors import cross
+from mbd_ros.core.kinematics.poses import cross
 from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import BodyLoads
 from mbd_ros.core.model.robot import Robot

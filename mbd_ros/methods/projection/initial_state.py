@@ -13,7 +13,7 @@ SIAM J. Control 4, 1966.
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.complementarity.unilateral_impulses import PushImpulses
+from mbd_ros.core.complementarity.bounded_rows import PushImpulses
 from mbd_ros.core.dynamics.mass import check_mass
 from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism, RigidRows
 from mbd_ros.core.dynamics.system import System

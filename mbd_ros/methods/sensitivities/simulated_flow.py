@@ -29,8 +29,7 @@ from mbd_ros.methods.integration.stepping import Integrator, Stepper
 from mbd_ros.methods.projection.assembly import Stabilization, project, violation
 from mbd_ros.methods.sensitivities.flow import Segment
 from mbd_ros.methods.sensitivities.saltation import slope
-from mbd_ros.methods.simulation.checked_steps import CheckedSteps
-from mbd_ros.methods.simulation.stepper import happenings, prepared
+from mbd_ros.methods.simulation.checked_steps import CheckedSteps, happenings, prepared
 
 _MOST = 50  # steps that close a mechanism with given joints
 _UNBOUNDED = 1.0e9  # s: steps end where they are told

@@ -17,11 +17,12 @@ from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.stepping import BlockStepper, Integrator
 from mbd_ros.methods.projection.assembly import Stabilization
 from mbd_ros.methods.simulation.checked_steps import CheckedSteps
-from mbd_ros.methods.simulation.sample_blocks import RunTable, SampleBlocks
 from mbd_ros.methods.simulation.samples import (
     Checkpoint,
     HeldInputs,
     Progress,
+    RunTable,
+    SampleBlocks,
     refuse_other,
     sample_times,
     step_end,

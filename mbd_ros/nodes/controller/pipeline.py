@@ -19,7 +19,7 @@ from mbd_ros.features.control.reference import ReferenceGenerator, ReferenceMap,
 from mbd_ros.features.control.trajectory import ReferenceTrajectory, TargetError
 from mbd_ros.methods.control.contract import Reference
 from mbd_ros.methods.inverse_dynamics.torque_estimator import JointObserver, Observation
-from mbd_ros.methods.projection.observed_state import ObservedState
+from mbd_ros.methods.projection.state_projection import ObservedState
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.controller.parameters import (
     build_controller,

@@ -16,7 +16,7 @@ from mbd_ros.core.loads.external_loads import WrenchBuffer
 from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import NANOSECOND, Array
 from mbd_ros.errors import SceneError
-from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic
+from mbd_ros.files.bag_paths import by_member, joint_state_topic, odometry_topic
 from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
 from mbd_ros.methods.inverse_dynamics.power import ObservedPower

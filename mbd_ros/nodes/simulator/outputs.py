@@ -10,7 +10,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 from trajectory_msgs.msg import JointTrajectory
 
-from mbd_ros.files.topics import joint_state_topic, odometry_topic
+from mbd_ros.files.bag_paths import joint_state_topic, odometry_topic
 from mbd_ros.methods.simulation.live_simulation import LiveSimulation
 from mbd_ros.nodes.shell.robot_description import LATCHED
 from mbd_ros.nodes.shell.shell import Shell

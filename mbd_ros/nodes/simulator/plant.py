@@ -15,7 +15,7 @@ from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-from mbd_ros.files.topics import WORLD, by_member
+from mbd_ros.files.bag_paths import WORLD, by_member
 from mbd_ros.methods.simulation.live_simulation import LiveSimulation
 from mbd_ros.methods.simulation.safe_command import CommandWatch
 from mbd_ros.nodes.shell.commands import command_reader

@@ -25,7 +25,7 @@ from mbd_ros.core.kinematics.poses import configuration_of
 from mbd_ros.core.model.points import Point
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import ModelError
-from mbd_ros.files.topics import by_member, joint_state_topic, odometry_topic
+from mbd_ros.files.bag_paths import by_member, joint_state_topic, odometry_topic
 from mbd_ros.nodes.shell.contact_topics import contacts_of, topic_of
 from mbd_ros.nodes.shell.serialized import joint_state, message_of
 from mbd_ros.nodes.shell.shell import Shell

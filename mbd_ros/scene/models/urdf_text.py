@@ -2,17 +2,161 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
+import pinocchio as pin
 
 from mbd_ros.core.model.urdf import is_impossible
 from mbd_ros.core.state import Array
-from mbd_ros.scene.models.motions import Motion
-from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.reading.coupling_entries import one_function
+
+# ---- names ------------------------------------------------------------------------------------
+# Names that are unique, and that a scene takes.
+
+
+_ODD = re.compile(r"[^\w/-]", re.ASCII)
+
+
+class Names:
+    """Names that are taken.
+
+    Args:
+        taken: Those that are taken before.
+    """
+
+    def __init__(self, taken: Iterable[str] = ()) -> None:
+        self._taken = set(taken)
+
+    def __contains__(self, name: str) -> bool:
+        return name in self._taken
+
+    def take(self, wish: str, ending: str = "") -> str:
+        """A name like the wish that nothing else has; it is taken from now on.
+
+        Args:
+            ending: What it gets where the wish is taken, before it gets a number.
+        """
+        name, number = wish, 2
+        if name in self._taken and ending:
+            name = wish = f"{wish}_{ending}"
+        while name in self._taken:
+            name, number = f"{wish}_{number}", number + 1
+        self._taken.add(name)
+        return name
+
+    def part(self, wish: str, ending: str) -> str:
+        """As `take`, of the characters that names of parts of a scene have."""
+        return self.take(plain(wish) or ending, ending)
+
+
+def plain(name: str) -> str:
+    """A name with `_` in place of the characters that a scene does not take."""
+    return _ODD.sub("_", name)[:200]
+
+
+# ---- motions ----------------------------------------------------------------------------------
+# Turns and slides between two links, by functions of one coordinate as a scene writes them.
+
+
+X, Y, Z = np.eye(3)
+Entry = Mapping[str, Any]
+
+
+class Motion(NamedTuple):
+    """A turn about an axis, or a slide along it.
+
+    Attributes:
+        name: What it is called where no coordinate gives it a name.
+        axis: Of length 1, shape (3,).
+        turns: Whether it is a turn.
+        function: Angle [rad] or way [m] of the coordinate.
+        coordinate: Name of the coordinate, empty where the function is constant.
+    """
+
+    name: str
+    axis: Array
+    turns: bool
+    function: Function
+    coordinate: str
+
+    def at(self, value: float) -> Any:
+        """`pinocchio.SE3` where the function has a value."""
+        if self.turns:
+            return pin.SE3(pin.AngleAxis(value, self.axis).toRotationMatrix(), np.zeros(3))
+        return pin.SE3(np.eye(3), value * self.axis)
+
+    def inverse(self) -> Motion:
+        """The motion back."""
+        return self._replace(axis=-self.axis)
+
+
+class Function(NamedTuple):
+    """A function of one coordinate.
+
+    Attributes:
+        entry: As a scene writes it: `factor`, `polynomial`, `simm_spline`, ..
+        constant: Its value where it does not depend on the coordinate, else None.
+    """
+
+    entry: Entry
+    constant: float | None = None
+
+    @property
+    def slope(self) -> float | None:
+        """Of a straight line, else None."""
+        return self.entry.get("factor")
+
+    @property
+    def offset(self) -> float:
+        """Value of a straight line at 0."""
+        return float(self.entry.get("offset", 0.0))
+
+    def value(self, q: float, where: str) -> float:
+        """f(q).
+
+        Raises:
+            SceneError: The numbers of the function are refused; `where` begins the message.
+        """
+        if self.constant is not None:
+            return self.constant
+        return float(one_function(where, **self.entry)(float(q))[0])
+
+
+def constant(value: float) -> Function:
+    """f(q) = value."""
+    return Function({"polynomial": [value]}, value)
+
+
+def linear(slope: float, offset: float = 0.0) -> Function:
+    """f(q) = slope q + offset."""
+    if slope == 0.0:
+        return constant(offset)
+    return Function({"factor": slope, **({"offset": offset} if offset else {})})
+
+
+def sine(
+    amplitude: float, angular_frequency: float = 1.0, phase: float = 0.0, offset: float = 0.0
+) -> Function:
+    """f(q) = offset + amplitude sin(angular_frequency q + phase)."""
+    if amplitude * angular_frequency == 0.0:
+        return constant(amplitude * math.sin(phase) + offset)
+    given = {"amplitude": amplitude, "angular_frequency": angular_frequency}
+    return Function({"harmonic": {**given, "phase": phase, "offset": offset}})
+
+
+IDENTITY = linear(1.0)
+Step = Motion | pin.SE3
+
+
+# ---- urdf text --------------------------------------------------------------------------------
+# Links, joints and functions -> the text of a robot description.
+
 
 UNLIMITED = 1.0e300
 _SAME = 1.0e-14  # of a placement that is none

@@ -23,7 +23,7 @@ from mbd_ros.methods.particles.molecules import (
     Torsion,
 )
 from mbd_ros.methods.particles.rigid_bonds import DistanceRow, PointRow, SurfaceRow
-from mbd_ros.scene.reading.part_names import checked_name
+from mbd_ros.scene.reading.building import checked_name
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.nearest import nearest
 

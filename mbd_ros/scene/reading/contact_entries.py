@@ -23,8 +23,8 @@ from mbd_ros.core.ranges import LARGEST, Length, Positive, Unit, Vector, Within
 from mbd_ros.core.rows.frame_rows import check_normal, plane_of
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.reading.building import Site
-from mbd_ros.scene.reading.link_geometry import collisions_of
 from mbd_ros.scene.reading.part_entries import MAX_ROWS, build_section
+from mbd_ros.scene.reading.robot_entry import collisions_of
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 

@@ -6,7 +6,7 @@ from pathlib import Path
 import coal
 import numpy as np
 
-from mbd_ros.core.geometry.polyhedron import Polyhedron, polyhedron
+from mbd_ros.core.geometry.shapes import Polyhedron, polyhedron
 from mbd_ros.errors import ModelError, SceneError
 
 MAX_TRIANGLES = 5_000

@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.built_scene import MeasuredWrench
-from mbd_ros.scene.reading.building import Site
-from mbd_ros.scene.reading.part_names import NamedEntry, checked_name, name_parts, named_entry
+from mbd_ros.scene.reading.building import NamedEntry, Site, checked_name, name_parts, named_entry
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.registry import METHODS, PARTS, resolve_type, types_of
 from mbd_ros.scene.schema.sections import Form, Section

@@ -21,7 +21,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Length, Positive, Unit, Unlimited, Vector
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.scene.reading.coupling_entries import one_function
-from mbd_ros.scene.reading.pose_entry import read_pose
+from mbd_ros.scene.reading.single_entries import read_pose
 from mbd_ros.scene.schema import schema
 
 MAX_POINTS = 1000  # of one path

@@ -7,8 +7,7 @@ from typing import Annotated, Any
 from mbd_ros.core.ranges import Positive, Unit
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.phase_plans import GuardEntry, GuardPlan, PhasePlan, ResetEntry, WhenEntry
-from mbd_ros.scene.reading.building import Site
-from mbd_ros.scene.reading.part_names import checked_name
+from mbd_ros.scene.reading.building import Site, checked_name
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.nearest import nearest
 

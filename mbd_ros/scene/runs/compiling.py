@@ -22,9 +22,8 @@ from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.projection.assembly import Stabilization, assemble
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
-from mbd_ros.scene.reading.building import Site
+from mbd_ros.scene.reading.building import Site, named_entry
 from mbd_ros.scene.reading.part_entries import part_of
-from mbd_ros.scene.reading.part_names import named_entry
 from mbd_ros.scene.schema.sections import parts_in
 from mbd_ros.scene.variants import Place, found_place, places_of, set_value, with_numbers
 

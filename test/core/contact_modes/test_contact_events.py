@@ -255,7 +255,7 @@ def test_a_ball_meets_another_one_before_it_falls_on_the_ground():
 
 def test_forces_of_a_state_that_is_not_finite_are_none():
     """A simulation that diverges is to say so itself, with joint and time."""
-    from mbd_ros.core.optimization.redundant_equations import balanced, least_balanced
+    from mbd_ros.core.optimization.least_norm import balanced, least_balanced
 
     A = np.full((3, 3), np.nan)
     for solve in (balanced, least_balanced):

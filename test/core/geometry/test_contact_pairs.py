@@ -11,8 +11,16 @@ from scipy.spatial import ConvexHull
 
 from mbd_ros.core.geometry.contact_pair import contact_pair
 from mbd_ros.core.geometry.convex import inside
-from mbd_ros.core.geometry.polyhedron import box_of, line_of, polyhedron
-from mbd_ros.core.geometry.shapes import Between, Box, Capsule, Mesh, Side
+from mbd_ros.core.geometry.shapes import (
+    Between,
+    Box,
+    Capsule,
+    Mesh,
+    Side,
+    box_of,
+    line_of,
+    polyhedron,
+)
 from mbd_ros.core.geometry.simple_bodies import _to_box, _to_mesh
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import State

@@ -16,9 +16,8 @@ from mbd_ros.core.kinematics.paths.cylinder import Cylinder
 from mbd_ros.core.kinematics.paths.ellipsoid import Ellipsoid
 from mbd_ros.core.kinematics.paths.sphere import Sphere
 from mbd_ros.core.kinematics.paths.torus import Torus
-from mbd_ros.core.kinematics.paths.wrap_routes import Router
 from mbd_ros.core.kinematics.paths.wrap_surface import Placed, Reach
-from mbd_ros.core.kinematics.paths.wrapped_path import taut
+from mbd_ros.core.kinematics.paths.wrapped_path import Router, taut
 from mbd_ros.core.state import State
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.reading.path_entries import path_of

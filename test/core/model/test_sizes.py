@@ -28,7 +28,7 @@ SPRING = {"type": "joint_spring", "joint": JOINT, "stiffness": 1.0}
 @pytest.fixture
 def scene(tmp_path, monkeypatch):
     """A function that writes a scene, and the words that check it."""
-    monkeypatch.setattr("mbd_ros.scene.describe.costs.MEASURED", 0.0)
+    monkeypatch.setattr("mbd_ros.scene.describe.check.MEASURED", 0.0)
     (tmp_path / "r.urdf").write_text(ROBOT.text)
 
     def write(text=None, **sections):

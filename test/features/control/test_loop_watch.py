@@ -18,7 +18,7 @@ from mbd_ros.features.control.loop_watch import (
 )
 from mbd_ros.features.control.reference import ReferenceGenerator
 from mbd_ros.methods.control.contract import LoopGains, pd_gains, sliding_gains, tolerable_delay
-from mbd_ros.methods.projection.observed_state import ObservedState
+from mbd_ros.methods.projection.state_projection import ObservedState
 from mbd_ros.methods.simulation.live_simulation import LiveSimulation
 from mbd_ros.methods.simulation.safe_command import CommandWatch
 from mbd_ros.scene.schema.registry import resolve

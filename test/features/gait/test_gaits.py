@@ -11,7 +11,7 @@ from mbd_ros.cli import main
 from mbd_ros.errors import FallError, SceneError
 from mbd_ros.features.gait.periodic import ReturnMap, periodic_motion
 from mbd_ros.files.table import read_result
-from mbd_ros.methods.sensitivities.travel import Travel
+from mbd_ros.methods.sensitivities.flow import Travel
 
 # Fixed points without foot mass in 80-bit arithmetic, beyond the digits of Garcia et al. 1998.
 LEGS = ("left", "right")

@@ -14,7 +14,7 @@ from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.features.markers.exchanged_labels import exchanged_labels
 from mbd_ros.features.markers.marker_kinematics import Mark, MarkerKinematics
 from mbd_ros.features.markers.marker_trial import smooth_trial
-from mbd_ros.methods.projection.independent_limits import independent_limits
+from mbd_ros.methods.projection.coupled_joints import independent_limits
 
 PLACES = {  # markers on the leg: link -> places [m]; the root moves with a floating base
     "world": [(0.1, 0.0, 0.1), (-0.1, 0.05, 0.0), (0.0, -0.1, 0.02)],

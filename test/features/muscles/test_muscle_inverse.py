@@ -15,7 +15,7 @@ from mbd_ros.features.muscles.muscle_trial import (
     muscles_with,
 )
 from mbd_ros.features.muscles.trial import Points
-from mbd_ros.optimal_control.collocation import RADAU, collocation
+from mbd_ros.optimal_control.mesh import RADAU, collocation
 
 pytest.importorskip("casadi", reason="casadi is optional (extra: compiled)")
 

@@ -7,12 +7,12 @@ import mbd_ros as mbd
 from mbd_ros.features.sampling.chains import usual_step
 from mbd_ros.features.sampling.ensemble import (
     Ensemble,
+    Manifold,
     degrees_of_freedom,
     kinetic_after_step,
     stream,
 )
 from mbd_ros.features.sampling.joint_space import JointSpace
-from mbd_ros.features.sampling.manifold import Manifold
 from mbd_ros.features.sampling.mean_force import average
 from mbd_ros.features.sampling.particle_space import ParticleSpace
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import qpsolvers
 
-from mbd_ros.core.optimization.row_bounded_qp import RowBoundedQp
+from mbd_ros.core.optimization.hard_soft_qp import RowBoundedQp
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.features.estimation.faults import InnovationWatch
 from mbd_ros.methods.estimation.kalman_filter import Filtered, smoothed

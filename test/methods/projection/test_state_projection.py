@@ -8,7 +8,7 @@ from state_projection import ARM, FOUR_BAR, LEG, measured, nearest_in_z, project
 from mbd_ros.core.model.coupling_functions import Linear, Polynomial
 from mbd_ros.core.model.couplings import CoupledPair
 from mbd_ros.core.optimization.box_qp import Statistics
-from mbd_ros.core.optimization.lcp import ComplementarityProblem
+from mbd_ros.core.optimization.move_qp import ComplementarityProblem
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.projection.coupled_joints import CoupledJoints
 from mbd_ros.methods.projection.state_projection import StateProjector

@@ -10,6 +10,7 @@ from plain_walkers import rimless_wheel, simplest_walker
 from mbd_ros.errors import FallError, SolveError
 from mbd_ros.features.gait.continuation import DOUBLING, Continuation
 from mbd_ros.features.gait.periodic import ReturnMap, multipliers, periodic_motion
+from mbd_ros.methods.sensitivities.flow import Travel
 from mbd_ros.methods.sensitivities.saltation import (
     crossing,
     derivative,
@@ -17,7 +18,6 @@ from mbd_ros.methods.sensitivities.saltation import (
     saltation,
     transition,
 )
-from mbd_ros.methods.sensitivities.travel import Travel
 
 # Fixed points in 80-bit arithmetic, beyond the digits of Garcia et al. 1998: slope, theta,
 # thetadot, phidot, period, multipliers.

@@ -12,7 +12,7 @@ from scipy.interpolate import BSpline, CubicSpline
 
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.files.bags.spool import Spool, StampSpool
+from mbd_ros.files.bags.bag_writer import Spool, StampSpool
 from mbd_ros.files.tables.csv import read_table, write_table
 from mbd_ros.methods.signals.spectrum import spectrum
 from mbd_ros.methods.signals.spline_basis import CellBasis, joined, parted
@@ -371,7 +371,7 @@ def test_density_of_white_noise_below_a_motion_of_which_it_is_a_trillionth():
 @pytest.mark.parametrize("few", [0, 3000, 20_000, 2**24])
 def test_stamps_in_a_file_are_as_good_as_in_memory(tmp_path, monkeypatch, few):
     """All, most, some or none of the 48 kB of stamps are in a file."""
-    monkeypatch.setattr("mbd_ros.files.bags.spool._IN_MEMORY", few)
+    monkeypatch.setattr("mbd_ros.files.bags.bag_writer._IN_MEMORY", few)
     monkeypatch.setattr("mbd_ros.motion.long_stamps._TELLING", 1024)
     monkeypatch.setattr("mbd_ros.motion.long_stamps._WINDOW", 1500)
     rng = np.random.default_rng(4)

@@ -13,7 +13,7 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Surface,
     Touch,
 )
-from mbd_ros.core.kinematics.vectors import dot
+from mbd_ros.core.kinematics.poses import dot
 from mbd_ros.core.state import Array
 
 _TURN = 2.0 * np.pi

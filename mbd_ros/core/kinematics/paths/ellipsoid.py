@@ -4,7 +4,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mbd_ros.core.kinematics.paths.geodesics import dot3, geodesics
 from mbd_ros.core.kinematics.paths.sphere import crossing
 from mbd_ros.core.kinematics.paths.wrap_surface import (
     MUST_WRAP,
@@ -15,8 +14,10 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Side,
     Surface,
     Touch,
+    dot3,
+    geodesics,
 )
-from mbd_ros.core.kinematics.vectors import cross, dot, unit
+from mbd_ros.core.kinematics.poses import cross, dot, unit
 from mbd_ros.core.state import Array
 
 _NEWTON = 60  # steps to the nearest point, far more than it takes

@@ -17,15 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.kinematics.paths.ellipsoid import Ellipsoid
-from mbd_ros.core.kinematics.paths.wrap_surface import (
-    Arc,
-    Flow,
-    Mask,
-    Numbers,
-    Placed,
-    Surface,
-)
-from mbd_ros.core.kinematics.vectors import cross, dot, unit
+from mbd_ros.core.kinematics.paths.wrap_surface import Arc, Flow, Mask, Numbers, Placed, Surface
+from mbd_ros.core.kinematics.poses import cross, dot, unit
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SolveError
 

@@ -14,7 +14,7 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Surface,
     Touch,
 )
-from mbd_ros.core.kinematics.vectors import cross, dot, unit
+from mbd_ros.core.kinematics.poses import cross, dot, unit
 from mbd_ros.core.state import Array
 
 

@@ -3,7 +3,6 @@
 import numpy as np
 
 from mbd_ros.core.kinematics.paths.cylinder import Cylinder
-from mbd_ros.core.kinematics.paths.geodesics import dot3, geodesics
 from mbd_ros.core.kinematics.paths.wrap_surface import (
     MAY_WRAP,
     NO_WRAP,
@@ -13,8 +12,10 @@ from mbd_ros.core.kinematics.paths.wrap_surface import (
     Side,
     Surface,
     Touch,
+    dot3,
+    geodesics,
 )
-from mbd_ros.core.kinematics.vectors import cross, dot, unit
+from mbd_ros.core.kinematics.poses import cross, dot, unit
 from mbd_ros.core.state import Array
 
 _LONG = 1.0e3  # of the cylinder in place of the ring, in radii of the ring

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mbd_ros.core.kinematics.vectors import cross
+from mbd_ros.core.kinematics.poses import cross
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.features.loads.fem.mesh import Mesh, MeshMass, Nodes, nodal_forces

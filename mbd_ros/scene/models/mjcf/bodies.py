@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from mbd_ros.scene.models.mjcf.inertia import geom_place
 from mbd_ros.scene.models.mjcf.item import Compiler, Defaults, Item, placed
-from mbd_ros.scene.models.names import Names
+from mbd_ros.scene.models.urdf_text import Names
 
 WORLD = "world"
 _PLACING = ("name", "pos", "quat", "axisangle", "xyaxes", "zaxis", "euler")

@@ -12,9 +12,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.models.mjcf.bodies import WORLD, Bodies, Body, Placed
 from mbd_ros.scene.models.mjcf.item import Compiler, Item, unit
-from mbd_ros.scene.models.motions import IDENTITY, Motion, X, Y, Z
-from mbd_ros.scene.models.names import Names
-from mbd_ros.scene.models.urdf_text import UrdfJoint, is_identity
+from mbd_ros.scene.models.urdf_text import IDENTITY, Motion, Names, UrdfJoint, X, Y, Z, is_identity
 
 _TYPES = ("hinge", "slide", "ball", "free")
 _JOINT = (

@@ -15,16 +15,14 @@ from mbd_ros.scene.models.imported_model import (
     parse_document,
     read_text,
 )
-from mbd_ros.scene.models.mjcf.actuators import add_rotors, read_actuators
+from mbd_ros.scene.models.mjcf.actuators import add_rotors, read_actuators, read_tendons
 from mbd_ros.scene.models.mjcf.bodies import WORLD, Bodies
 from mbd_ros.scene.models.mjcf.equalities import read_closures, read_couplings
 from mbd_ros.scene.models.mjcf.inertia import Meshes, body_inertia, geom_type, mass_of
 from mbd_ros.scene.models.mjcf.item import Compiler, Defaults, compiler_of
 from mbd_ros.scene.models.mjcf.mechanism import Tree, passive, unexpressed
 from mbd_ros.scene.models.mjcf.reading import Reading
-from mbd_ros.scene.models.mjcf.tendons import read_tendons
-from mbd_ros.scene.models.names import plain
-from mbd_ros.scene.models.urdf_text import Mass, joint_titles, urdf_text, xyz_rpy
+from mbd_ros.scene.models.urdf_text import Mass, joint_titles, plain, urdf_text, xyz_rpy
 
 SECTIONS = (
     *("compiler", "option", "size", "statistic", "visual", "default", "custom", "asset"),

@@ -8,8 +8,7 @@ from mbd_ros.scene.models.imported_model import LeftOut, Unexpressed
 from mbd_ros.scene.models.mjcf.bodies import WORLD, Placed
 from mbd_ros.scene.models.mjcf.item import Compiler, Defaults, Item
 from mbd_ros.scene.models.mjcf.mechanism import Hinge, Tree
-from mbd_ros.scene.models.names import Names
-from mbd_ros.scene.models.urdf_text import xyz_rpy
+from mbd_ros.scene.models.urdf_text import Names, xyz_rpy
 
 
 class Reading:

@@ -2,18 +2,176 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array
-from mbd_ros.scene.models.imported_model import Unexpressed
-from mbd_ros.scene.models.osim.couplings import COUPLER, is_enforced
+from mbd_ros.scene.models.imported_model import LeftOut, Unexpressed
+from mbd_ros.scene.models.osim.functions import UnknownFunction, function_in, scaled
 from mbd_ros.scene.models.osim.item import Attached, Item, frame_entries, old_placement
+from mbd_ros.scene.models.osim.joints import Coordinate
+from mbd_ros.scene.models.osim.mechanism import Follows
 from mbd_ros.scene.models.osim.reading import Reading
 from mbd_ros.scene.models.urdf_text import roll_pitch_yaw
+
+# ---- couplings --------------------------------------------------------------------------------
+# Coordinates that follow others, are locked or prescribed.
+
+
+COUPLER = "CoordinateCouplerConstraint"
+
+
+def read_couplers(
+    model: Item,
+    coordinates: Mapping[str, Coordinate],
+    joints: Mapping[str, Follows],
+    locked: Mapping[str, float | None],
+) -> Coupled:
+    """Couplers of coordinates, and what stands still because coordinates do.
+
+    Args:
+        model: The `<Model>`.
+        coordinates: By name.
+        joints: Joints that follow a coordinate by a function of their joint.
+        locked: Coordinate -> position where the scene locks it, None where it frees it.
+
+    Raises:
+        SceneError: Names coupler and what is wrong.
+    """
+    found = Coupled({}, {}, [])
+    for name, coordinate in coordinates.items():
+        if coordinate.locked or _prescribed_constant(coordinate) is not None:
+            value = _prescribed_constant(coordinate)
+            found.fixed[name] = coordinate.default if value is None else value
+    for name, position in locked.items():
+        if position is None:
+            found.fixed.pop(name, None)
+        else:
+            found.fixed[name] = position
+    for item in model.components("ConstraintSet", ending=COUPLER):
+        if item.type == COUPLER and is_enforced(item):
+            _add(found, item, coordinates)
+    found.follows.update(joints)
+    _settle(found, model.source)
+    return found
+
+
+class Coupled(NamedTuple):
+    """What the coordinates of a model do besides moving.
+
+    Attributes:
+        follows: Coordinate -> what it follows.
+        fixed: Coordinate or coupled joint -> position [rad or m] that it never leaves.
+        left_out: Couplers that are not expressed.
+    """
+
+    follows: dict[str, Follows]
+    fixed: dict[str, float]
+    left_out: list[LeftOut]
+
+
+def _prescribed_constant(coordinate: Coordinate) -> float | None:
+    """Position of a coordinate that is prescribed to stand still."""
+    if not coordinate.item.flag("prescribed"):
+        return None
+    try:
+        function = function_in(coordinate.item.find("prescribed_function"))
+    except UnknownFunction:
+        return None
+    return function.constant
+
+
+def _add(found: Coupled, item: Item, coordinates: Mapping[str, Coordinate]) -> None:
+    parents = item.words("independent_coordinate_names")
+    child = item.text("dependent_coordinate_name")
+    for name in (child, *parents):
+        if name not in coordinates:
+            raise item.error(f"there is no coordinate '{name}'")
+    reason = ""
+    if len(parents) != 1:
+        reason = f"follows {len(parents)} coordinates"
+    elif child in found.fixed:
+        reason = f"'{child}' is locked"
+    elif child in found.follows:
+        reason = f"'{child}' follows '{found.follows[child].coordinate}' already"
+    try:
+        function = function_in(item.find("coupled_coordinates_function"))
+    except UnknownFunction as error:
+        reason = reason or str(error)
+    if reason:
+        found.left_out.append(LeftOut(item.type, item.name, reason))
+        return
+    scale = item.number("scale_factor", default=1.0)
+    function = function if scale == 1.0 else scaled(function, scale)
+    if function.constant is not None:
+        found.fixed[child] = function.constant
+    else:
+        found.follows[child] = Follows(parents[0], function)
+
+
+def _settle(found: Coupled, source: str) -> None:
+    """What follows something that stands still stands still."""
+    settled = True
+    while settled:
+        settled = False
+        for name, (parent, function) in list(found.follows.items()):
+            if parent in found.fixed:
+                found.fixed[name] = function.value(found.fixed[parent], f"{source}: {name}")
+                del found.follows[name]
+                settled = True
+
+
+def is_enforced(item: Item) -> bool:
+    """Whether a constraint acts."""
+    return item.flag("isEnforced", default=not item.flag("isDisabled"))
+
+
+def read_prescribed(
+    reading: Reading, coordinates: Mapping[str, Coordinate], coupled: Iterable[str]
+) -> list[dict[str, Any]]:
+    """The motions of coordinates that do not stand still.
+
+    Args:
+        coordinates: By name.
+        coupled: Those that follow others.
+
+    Raises:
+        SceneError: Names coordinate and what is wrong.
+    """
+    found = []
+    for name, coordinate in coordinates.items():
+        is_free = name in reading.joints and name not in reading.fixed and name not in coupled
+        if is_free and coordinate.item.flag("prescribed"):
+            try:
+                motion = _motion(coordinate.item)
+            except Unexpressed as error:
+                reading.leave_out(coordinate.item, str(error))
+                continue
+            title = reading.names.part(f"{name}_motion", "motion")
+            found.append({"name": title, "type": "prescribed_motion", "joint": name, **motion})
+    return found
+
+
+def _motion(item: Item) -> dict[str, Any]:
+    """The function of time, where `prescribed_motion` has it."""
+    holder = item.find("prescribed_function")
+    try:
+        function = function_in(holder)
+    except UnknownFunction as error:
+        raise Unexpressed(f"is prescribed by a {error}") from error
+    if function.slope is not None:
+        return {"polynomial": [function.offset, function.slope]}
+    if not {"polynomial", "spline", "harmonic"}.isdisjoint(function.entry):
+        return dict(function.entry)
+    raise Unexpressed(f"is prescribed by a function {next(iter(function.entry))}")
+
+
+# ---- constraints ------------------------------------------------------------------------------
+# Constraints between bodies -> the section `constraints`.
+
 
 Entry = dict[str, Any]
 _BODIES = (("body_1", "body1"), ("body_2", "body2"))

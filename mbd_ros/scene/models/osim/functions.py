@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from mbd_ros.errors import MbdError
-from mbd_ros.scene.models.motions import IDENTITY, Function, constant, linear, sine
 from mbd_ros.scene.models.osim.item import Item
+from mbd_ros.scene.models.urdf_text import IDENTITY, Function, constant, linear, sine
 
 
 def function_in(holder: Item | None) -> Function:

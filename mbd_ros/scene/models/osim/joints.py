@@ -13,19 +13,6 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array
-from mbd_ros.scene.models.motions import (
-    IDENTITY,
-    Function,
-    Motion,
-    Step,
-    X,
-    Y,
-    Z,
-    constant,
-    linear,
-    sine,
-)
-from mbd_ros.scene.models.names import Names
 from mbd_ros.scene.models.osim.functions import (
     UnknownFunction,
     function_in,
@@ -34,6 +21,19 @@ from mbd_ros.scene.models.osim.functions import (
     scaled,
 )
 from mbd_ros.scene.models.osim.item import Attached, Frames, Item, old_placement, socket
+from mbd_ros.scene.models.urdf_text import (
+    IDENTITY,
+    Function,
+    Motion,
+    Names,
+    Step,
+    X,
+    Y,
+    Z,
+    constant,
+    linear,
+    sine,
+)
 
 _RIGHT = math.pi / 2.0
 _TURN_NAMES, _SLIDE_NAMES = ("r1", "r2", "r3"), ("tx", "ty", "tz")

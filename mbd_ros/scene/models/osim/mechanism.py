@@ -7,11 +7,21 @@ from typing import Any, NamedTuple
 
 import pinocchio as pin
 
-from mbd_ros.scene.models.motions import IDENTITY, Function, Motion, Step, X, Y, Z
-from mbd_ros.scene.models.names import Names
 from mbd_ros.scene.models.osim.item import GROUND, Attached, Frames, Item, frame_entries
 from mbd_ros.scene.models.osim.joints import Coordinate, Joint
-from mbd_ros.scene.models.urdf_text import Mass, UrdfJoint, is_identity
+from mbd_ros.scene.models.urdf_text import (
+    IDENTITY,
+    Function,
+    Mass,
+    Motion,
+    Names,
+    Step,
+    UrdfJoint,
+    X,
+    Y,
+    Z,
+    is_identity,
+)
 
 _DIRECT = {"WeldJoint": "full", "BallJoint": "point"}  # which need no second half
 

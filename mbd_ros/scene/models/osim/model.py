@@ -9,10 +9,13 @@ from xml.etree import ElementTree
 
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.models.imported_model import NO_PLACE, Imported, Unexpressed, parse_document
-from mbd_ros.scene.models.osim.constraints import read_constraints
-from mbd_ros.scene.models.osim.contacts import CONTACTS, contact_entries
-from mbd_ros.scene.models.osim.couplings import Coupled, read_couplers, read_prescribed
-from mbd_ros.scene.models.osim.forces import force_entry
+from mbd_ros.scene.models.osim.constraints import (
+    Coupled,
+    read_constraints,
+    read_couplers,
+    read_prescribed,
+)
+from mbd_ros.scene.models.osim.forces import CONTACTS, contact_entries, force_entry
 from mbd_ros.scene.models.osim.item import GROUND, Frames, Item, bodies_of, six_digits
 from mbd_ros.scene.models.osim.joints import Coordinate, read_joints
 from mbd_ros.scene.models.osim.mechanism import Mechanism, in_tree_order, open_loops, share_masses

@@ -6,11 +6,10 @@ from collections.abc import Sequence
 from typing import Any
 
 from mbd_ros.scene.models.imported_model import Unexpressed
-from mbd_ros.scene.models.motions import Function
 from mbd_ros.scene.models.osim.functions import UnknownFunction, function_in
 from mbd_ros.scene.models.osim.item import Item, bodies_of, placement
 from mbd_ros.scene.models.osim.reading import Reading
-from mbd_ros.scene.models.urdf_text import xyz_rpy
+from mbd_ros.scene.models.urdf_text import Function, xyz_rpy
 
 _EDGE = 1.0e-5  # rad or m by which OpenSim widens the range of a conditional point
 _CONDITIONAL = ("ConditionalPathPoint", "MuscleViaPoint")

@@ -4,9 +4,9 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from mbd_ros.scene.models.imported_model import LeftOut, Unexpressed
-from mbd_ros.scene.models.names import Names
 from mbd_ros.scene.models.osim.item import Attached, Frames, Item, socket
 from mbd_ros.scene.models.osim.mechanism import Mechanism
+from mbd_ros.scene.models.urdf_text import Names
 
 FORCES = ("Force", "Muscle", "Actuator", "Spring", "Ligament")
 
