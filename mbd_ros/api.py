@@ -87,7 +87,6 @@ class Scene(built_scene.Scene):
         """Many runs side by side, from other starts and with other numbers.
 
         Args:
-            count: How many.
             **options: As for `Batch`.
 
         Raises:

@@ -14,7 +14,6 @@ class Health(NamedTuple):
     Attributes:
         name: The reporting node.
         level: OK, WARN, ERROR or STALE.
-        message: One sentence.
         values: Details, all as text.
     """
 

@@ -217,7 +217,6 @@ class Layout(NamedTuple):
         counts: The three array lengths.
         marks: Offset and bytes of the first two; the third follows from the size.
         slices: Position, velocity and effort among the doubles that the whole body would be.
-        doubles: Their number.
     """
 
     size: int

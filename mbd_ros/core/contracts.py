@@ -157,7 +157,6 @@ class Slots(NamedTuple):
     """Where the numbers of a part stand.
 
     Attributes:
-        inputs: In u.
         internal: In the z of a state.
     """
 
@@ -467,7 +466,6 @@ class Wrench(NamedTuple):
     """Wrench of a constraint on one body.
 
     Attributes:
-        frame: The link.
         point: Where the force acts, in the world less `Robot.origin` [m], shape (3,).
         force: In world axes [N], shape (3,).
         torque: About `point`, in world axes [N·m], shape (3,).

@@ -21,8 +21,6 @@ class Within(NamedTuple):
     """Smallest and largest accepted value.
 
     Attributes:
-        low: Smallest value.
-        high: Largest value.
         of_size: Whether they hold for the size of a number of either sign.
     """
 

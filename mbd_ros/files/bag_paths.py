@@ -1,5 +1,7 @@
 """The files of a bag, and places where a bag may be written."""
 
+from __future__ import annotations
+
 from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath
 
@@ -7,12 +9,10 @@ from mbd_ros.core.model.robot import BASE
 from mbd_ros.errors import DataError, SceneError
 from mbd_ros.scene.schema.strict_yaml import read_mapping
 
-# ---- bag paths --------------------------------------------------------------------------------
-# The files of a bag, and places where a bag may be written.
-
-
 SUFFIXES = (".mcap", ".db3")
 MARK = ("written_by", "mbd_ros")
+JOINT_STATES, ODOMETRY = "joint_states", "odometry"
+WORLD = "world"  # frame in which poses of free bodies are given
 
 
 def check_source(path: Path) -> None:
@@ -51,12 +51,6 @@ def _storage_files(folder: Path) -> list[Path]:
     return files[1:]
 
 
-def check_sqlite_path(path: Path) -> None:
-    """Refuse characters that change meaning in the `file:` address of sqlite in rosbags."""
-    if path.suffix == ".db3" and set("#?%") & set(str(path)):
-        raise DataError(f"{path}: the path of a .db3 file must not contain '#', '?' or '%'")
-
-
 def check_target(path: Path) -> None:
     """Refuse to replace anything but a bag of this package.
 
@@ -91,22 +85,10 @@ def _is_ours(path: Path) -> bool:
     return ": ".join(MARK).encode() in marked.read_bytes()
 
 
-# ---- topics -----------------------------------------------------------------------------------
-# Topics by what they carry: joint states of each robot, odometry of each free body.
-
-
-JOINT_STATES, ODOMETRY = "joint_states", "odometry"
-WORLD = "world"  # frame in which poses of free bodies are given
-
-
-def joint_state_topic(member: str) -> str:
-    """Topic of the joint states of a robot or body of a scene, of the only robot where empty."""
-    return f"{member}/{JOINT_STATES}" if member else JOINT_STATES
-
-
-def odometry_topic(body: str) -> str:
-    """Topic of the pose and twist of a free body."""
-    return ODOMETRY if body == BASE else f"{body}/{ODOMETRY}"
+def check_sqlite_path(path: Path) -> None:
+    """Refuse characters that change meaning in the `file:` address of sqlite in rosbags."""
+    if path.suffix == ".db3" and set("#?%") & set(str(path)):
+        raise DataError(f"{path}: the path of a .db3 file must not contain '#', '?' or '%'")
 
 
 def beside(topic: str, other: str) -> str:
@@ -114,7 +96,6 @@ def beside(topic: str, other: str) -> str:
 
     Args:
         topic: Of the joint states of the only robot.
-        other: Relative name.
     """
     return f"{topic.rpartition('/')[0]}/{other}"
 
@@ -132,3 +113,13 @@ def by_member(joints: Sequence[str], members: Collection[str]) -> dict[str, dict
         pair = (member, own) if member in members else ("", joint)
         found.setdefault(pair[0], {})[pair[1]] = joint
     return found
+
+
+def joint_state_topic(member: str) -> str:
+    """Topic of the joint states of a robot or body of a scene, of the only robot where empty."""
+    return f"{member}/{JOINT_STATES}" if member else JOINT_STATES
+
+
+def odometry_topic(body: str) -> str:
+    """Topic of the pose and twist of a free body."""
+    return ODOMETRY if body == BASE else f"{body}/{ODOMETRY}"

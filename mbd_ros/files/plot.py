@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.formats import PICTURES
-from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
+from mbd_ros.files.text_file import replacing
 
 _PANEL, _WIDTH, _EDGE = 1.7, 8.0, 0.6  # in
 _DPI = 110  # per in

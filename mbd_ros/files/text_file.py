@@ -1,24 +1,31 @@
 """Lines of regular files, plain or gzip, and tables of numbers among blanks."""
 
+from __future__ import annotations
+
 import gzip
+import os
 import stat
+import uuid
 import zlib
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
+from mbd_ros.files.bag_paths import check_target
+from mbd_ros.files.formats import format_of, is_bag
 
 MAX_LINE = 1_000_000  # bytes
 MAX_COLUMNS = 10_000
 MAX_CELLS = 100_000_000  # numbers, 800 MB
 _BLOCK = 4096  # lines that become numbers at once
 _MISSING = (b"nan", b"NaN", b"-nan", b"-nan(ind)")  # as C libraries write it
+_SHOWN = 40  # characters of a name in that of a temporary file: names end at 255 bytes
 
 
 @contextmanager
@@ -57,7 +64,7 @@ class Lines:
         self._path, self._file, self._number = path, file, 0
         self.ended = True
 
-    def __iter__(self) -> "Lines":
+    def __iter__(self) -> Lines:
         return self
 
     def __next__(self) -> bytes:
@@ -169,11 +176,6 @@ def cell_number(path: Path, label: str, cell: bytes, number: int) -> float:
     return value
 
 
-def repeated_among(labels: Sequence[str]) -> list[str]:
-    """Labels that stand there more than once, in order."""
-    return sorted(label for label, count in Counter(labels).items() if count > 1)
-
-
 def check_times(path: Path, times: Array) -> None:
     """Refuse times that are not finite or do not increase.
 
@@ -190,3 +192,67 @@ def check_times(path: Path, times: Array) -> None:
             f"{path}: row {row + 1} of the data, column time: {float(times[row])!r}{before}, time "
             "must strictly increase"
         )
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[BinaryIO | gzip.GzipFile]:
+    """A file to write that takes the place of `path` on success and vanishes on failure."""
+    temporary = path.with_name(f".{path.name[:_SHOWN]}.{uuid.uuid4().hex}.tmp")
+    try:
+        if not path.parent.is_dir():
+            raise DataError(f"{path}: directory {path.parent} does not exist")
+        if path.exists() and not path.is_file():
+            raise DataError(f"{path}: exists and is not a regular file")
+        with temporary.open("xb") as raw:
+            if path.suffix == ".gz":
+                with gzip.GzipFile("", "wb", compresslevel=4, fileobj=raw, mtime=0) as packed:
+                    yield packed
+            else:
+                yield raw
+        os.replace(temporary, path)
+    except OSError as error:
+        raise DataError(f"{path}: cannot be written ({error.strerror})") from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+
+
+def check_place(out: Path) -> None:
+    """Refuse a place that no result can be written to, before work is done for it.
+
+    Raises:
+        DataError: What is wrong with it, or what is not installed.
+    """
+    format_of(out)
+    if is_bag(out):
+        check_target(out)
+    elif not out.parent.is_dir():
+        raise DataError(f"{out}: directory {out.parent} does not exist")
+    elif out.exists() and not out.is_file():
+        raise DataError(f"{out}: exists and is not a regular file")
+
+
+def refuse_overwriting(out: Path, *sources: Path | None) -> None:
+    """Refuse a result in the place of what it is computed from.
+
+    Args:
+        out: Table, bag or folder to write.
+        *sources: Files and bags that are read; None for those that are not given.
+
+    Raises:
+        DataError: A source is `out`, or inside of it, or a bag that `out` is a file of.
+    """
+    place = out.resolve()
+    for source in filter(None, sources):
+        read = source.resolve()
+        is_inside = read in place.parents and is_bag(out)
+        if place == read or place in read.parents or is_inside:
+            raise DataError(
+                f"-o {out}: the result would take the place of {source}, which is read; choose "
+                "another name"
+            )
+
+
+def repeated_among(labels: Sequence[str]) -> list[str]:
+    """Labels that stand there more than once, in order."""
+    return sorted(label for label, count in Counter(labels).items() if count > 1)

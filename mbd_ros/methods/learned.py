@@ -46,7 +46,6 @@ class Corrections:
     that mass alone, since numbers of a body without a mass cannot be written down.
 
     Args:
-        robot: The robot.
         bodies: Body -> ten numbers that are added to its own.
         friction: Joint -> offset [N·m], viscous [N·m·s/rad], then a torque [N·m] and the velocity
             [rad/s] at which it has 76 % of its size, for each curve.
@@ -171,7 +170,6 @@ class LearnedFile(NamedTuple):
 
     Attributes:
         name: For the messages.
-        content: Its bytes.
     """
 
     name: str
@@ -269,7 +267,6 @@ def about_of(name: str, found: dict[str, Any]) -> About:
 
     Args:
         name: For the messages.
-        found: The values.
 
     Raises:
         ModelError: It is of another version, or does not say it; names it.
@@ -392,7 +389,6 @@ def physics_of(
     model, and dependent joints for where they are.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints.
         forces: Parts that act by themselves, without the model itself.
         said: Joints and range of the model.

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError, MbdError
-from mbd_ros.files.output_file import refuse_overwriting
+from mbd_ros.files.text_file import refuse_overwriting
 from mbd_ros.jobs.progress import Say
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
 from mbd_ros.jobs.workers.task import Task as WorkerTask
@@ -23,7 +23,6 @@ class Batch(NamedTuple):
     Attributes:
         motions: Tables and bags.
         options: Options of the command alone; any values that JSON holds.
-        scene: The scene.
         out: Folder of the results; the result itself where there is one motion.
         wrenches: Table or bag of the external loads of every motion.
         external: External loads of OpenSim (.xml): none, of every motion, or one each.
@@ -74,7 +73,6 @@ def do_batch(
     """Do one motion here, several in workers, each into a file or folder of its own name.
 
     Args:
-        batch: The motions.
         work: Does one of them.
         worker: `do_one` with this `work`, by a name that a worker can import.
         say: Is told the lines of the only motion, or the summary of every motion as they end.

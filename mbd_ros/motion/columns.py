@@ -33,7 +33,6 @@ def joint_columns(joints: Sequence[Joint], quantity: str, values: Array) -> list
     """Columns `<joint>.<quantity>`.
 
     Args:
-        joints: The joints.
         quantity: position, velocity, acceleration; all else is a torque or force.
         values: Shape (n, len(joints)).
     """
@@ -50,7 +49,6 @@ def body_columns(
     """Columns of the free bodies.
 
     Args:
-        robot: The robot.
         motions: Coordinates, velocity and acceleration of each body, in the order of time, shape
             (n, 7) and twice (n, 6); None for accelerations that nobody knows.
     """
@@ -67,7 +65,6 @@ def whole_bodies(
     """The free bodies in motions of all coordinates, for `body_columns`.
 
     Args:
-        robot: The robot.
         q: Shape (n, nq).
         v: Shape (n, nv).
         a: Shape (n, nv).
@@ -88,7 +85,6 @@ def state_topics(robot: Robot, quantities: Sequence[str]) -> dict[str, Any]:
     """Topics of a bag with joint states, one a robot, see `files.bags.bag_writer`.
 
     Args:
-        robot: The robot.
         quantities: Those of `position`, `velocity` and `effort` that there are.
     """
     named = by_member([joint.name for joint in robot.joints], robot.members)

@@ -137,7 +137,6 @@ def _first_of_noise(bands: Bands, density: Array, signal: Callable[[], Array]) -
     """First band that is noise and has only noise beyond it; None without any.
 
     Args:
-        bands: The bands.
         density: Of the signal in them.
         signal: Gives its samples.
     """

@@ -65,9 +65,7 @@ def differentiate(
     """Samples of the independent coordinates, with the derivatives given or without lag.
 
     Args:
-        scene: The scene.
         where: What the motion is from, for the messages.
-        motion: The motion.
         derivatives: Where velocity and acceleration come from.
 
     Raises:
@@ -251,7 +249,6 @@ class Differentiated(NamedTuple):
     """Samples of the independent coordinates, and their origin.
 
     Attributes:
-        samples: The samples.
         cutoff: Of the low-pass of each joint [Hz], shape (m,); None without one.
         remarks: Remarks on them, for people.
     """

@@ -117,7 +117,6 @@ def read_loads(
     """Samples of the loads of a scene, and messages left out, counted by reason.
 
     Args:
-        scene: The scene.
         motion: Result, file or bag of the motion; a bag carries its wrenches itself.
         wrenches: Result, file or bag of the wrenches, or None.
         axes: Recorded axis along each axis of the scene, see `recorded_axes`; None: the same.

@@ -13,8 +13,7 @@ from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.rows.constraint import Constraint
-from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
-from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, CouplingRows, RowLayout
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import DataError, SolveError
@@ -172,7 +171,6 @@ def solve_open(
     Args:
         scene: A scene without loops.
         where: Source of the motion, for the messages.
-        samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
         task: Says whether torque components are asked for.
 
@@ -189,7 +187,6 @@ class OpenChains:
     """Torques of a scene without loops.
 
     Args:
-        scene: The scene.
         with_parts: Also give the torque components.
     """
 
@@ -294,7 +291,6 @@ def solve_closed(
     Args:
         scene: A scene with loops.
         where: Source of the motion, for the messages.
-        samples: The observations.
         wrenches: One (n, 6) array for every load of the scene.
         task: Says whether efforts and multipliers keep their bounds.
         ground: Contacts of unknown force.
@@ -423,11 +419,7 @@ def _explained(
 
 
 class Violations:
-    """How far the dependent joints are off their couplings, or that nobody measured them.
-
-    Args:
-        scene: The scene.
-    """
+    """How far the dependent joints are off their couplings, or that nobody measured them."""
 
     def __init__(self, scene: Scene) -> None:
         self._scene = scene
@@ -460,7 +452,6 @@ def power_columns(
     """Columns of powers, and a line about their balance.
 
     Args:
-        scene: The scene.
         explained: What explains its motion.
         wrenches: One (n, 6) array for every load of the scene.
         contacts: Names of the loads that are forces of contacts.

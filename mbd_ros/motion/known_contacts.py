@@ -38,7 +38,6 @@ def known_contacts(
     these become known contacts, and leave the scene.
 
     Args:
-        scene: The scene.
         source: Where the motion comes from.
         topic: Of its joint states in a bag; those of constraint forces are beside it.
         say: Is told which columns are missing.
@@ -106,8 +105,6 @@ def contact_loads(
     """Known contacts as external loads of links.
 
     Args:
-        scene: The scene.
-        known: The contacts.
         motion: As it was read, a row of forces each.
         samples: Those of it that are solved for.
 

@@ -138,8 +138,6 @@ class _Samples(NamedTuple):
     """What is read of a source.
 
     Attributes:
-        table: Its samples.
-        where: Its name.
         unused: Labels of a storage that are of no joint; None of other sources.
         remarks: What is odd about a storage.
         of_laboratory: As of a `Recording`.
@@ -385,7 +383,6 @@ def metadata_of(
 
     Args:
         job: Name of the command.
-        scene: The scene.
         inputs: What the job was asked for; files by their names, None is left out.
         topics: Topics of a bag, see `bag_streams`.
     """

@@ -74,7 +74,6 @@ class Ground(NamedTuple):
 
     Attributes:
         task: What is asked.
-        contacts: Their names.
         given: Which features stand, as columns of the motion say, shape (n, features); None for
             what geometry says.
         by: What says so.
@@ -98,7 +97,6 @@ class Ground(NamedTuple):
         held.
 
         Args:
-            source: The motion.
             stamps: Stamps of its rows [ns], ascending.
             samples: Stamps of the rows that are solved [ns].
 
@@ -232,7 +230,6 @@ def smooth_transitions(
     """Solve double supports again, so that the load passes on smoothly.
 
     Args:
-        inverse: The solver.
         states: Motion and accelerations.
         standing: Which features stand, shape (n, features).
         solved: Results, some of which are replaced.
@@ -257,10 +254,8 @@ class _Transition:
     """Double supports of a motion that was solved with the least efforts.
 
     Args:
-        inverse: The solver.
         states: Motion and accelerations.
         standing: Which features stand, shape (n, features).
-        solved: Their results.
 
     Attributes:
         supports: Those that begin in the motion.

@@ -57,7 +57,6 @@ def node(name: str, files: list[Any], topics: Mapping[str, Any], clock: str) -> 
 
     Args:
         name: Of the executable, and of the node.
-        files: Of parameters.
         topics: Name in the node -> name or argument.
         clock: Its parameter that takes `use_sim_time`.
     """

@@ -20,7 +20,6 @@ class Active(NamedTuple):
         name: Of the quantity.
         side: -1 for the lower bound, 1 for the upper one.
         share: Of the points of the phase.
-        value: The bound.
     """
 
     name: str

@@ -60,7 +60,6 @@ def solve(
     Args:
         guess: All unknowns, fixed ones too, shape (n,).
         lower: Their bounds, shape (n,).
-        upper: The same.
         accuracy: Of the conditions of optimality, in usual sizes.
         most: Largest number of iterations.
         is_near: Whether the guess solves a program that is nearly this one.
@@ -175,7 +174,6 @@ class Solved(NamedTuple):
 
     Attributes:
         x: The unknowns, shape (n,).
-        cost: The cost.
         rows: Values of the rows, shape (m,).
         row_forces: Multipliers of the rows: what the cost loses a unit of their bounds, (m,).
         bound_forces: Multipliers of bounds of the unknowns, shape (n,).

@@ -39,7 +39,6 @@ class ResetLinkage:
     Args:
         before: The phase that ends.
         after: The phase that begins.
-        numbers: Theirs.
         way: The exit that is taken.
         striking: Equations of the impact; None without one.
         travel: Places in q that go on as they like, where a motion repeats.

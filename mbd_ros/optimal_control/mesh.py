@@ -21,24 +21,128 @@ from numpy.typing import NDArray
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 
-# ---- collocation ------------------------------------------------------------------------------
-# Collocation on an interval: points, and integrals of polynomials through values at them.
-#
-#     x(s) = x0 + h sum_k A_k(s) x'_k,   A_k(s) = integral of l_k from 0 to s
-#
-# l_k are the polynomials of Lagrange of the points c_k in 0 .. 1.
-#
-# Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, sec. IV.5.
-
-
 GAUSS, RADAU, HERMITE_SIMPSON = "gauss", "radau", "hermite_simpson"
 SCHEMES = (GAUSS, RADAU, HERMITE_SIMPSON)
 LARGEST_DEGREE = 16
 _DENSE = 1.0e-12  # of a coefficient: rounding
+Numbers = NDArray[np.intp]
+Status = NDArray[np.int_]  # -1 at a lower bound, 1 at an upper one, else 0
+_UNKNOWN = 2  # no status: differs from all others
+_MOST = 24  # changes in a phase: more of them are no structure
+_SHORTEST = 1.0e-7  # of a phase: jumps are not resolved any further
+_WIDEST = 0.7  # of an interval that is to be split: the widest part that is left of it
+_AT_NODE = 0.02  # of an interval: a change so near to a node is at it
+_MOST_PARTS = 4  # of one interval at once: an estimate far from its limit says no more
+_SAFE = 0.5  # of the tolerance: what a refined interval aims at
+
+
+class Mesh(NamedTuple):
+    """Intervals of a phase.
+
+    Attributes:
+        scheme: Name of the collocation.
+        degrees: Of each interval, shape (n,).
+        widths: Their shares of the duration, adding up to 1, shape (n,).
+        free: Whether the end of an interval may move, the last one never, shape (n,).
+    """
+
+    scheme: str
+    degrees: Numbers
+    widths: Array
+    free: NDArray[np.bool_]
+
+    @property
+    def intervals(self) -> int:
+        """Number of intervals."""
+        return len(self.degrees)
+
+    @property
+    def knots(self) -> Array:
+        """Ends of intervals as shares of the duration, shape (n + 1,)."""
+        found = np.concatenate(([0.0], np.cumsum(self.widths)))
+        found[-1] = 1.0
+        return found
+
+    @property
+    def first_points(self) -> Numbers:
+        """Number of the first point of each interval, then of all, shape (n + 1,)."""
+        return np.concatenate(([0], np.cumsum(self.degrees))).astype(np.intp)
+
+    @property
+    def shares(self) -> Array:
+        """Where the points are, as shares of the duration, shape (points,)."""
+        starts, parts = self.knots, zip(self.degrees, self.widths, strict=True)
+        return np.concatenate(
+            [starts[i] + w * self.scheme_of(int(d)).c for i, (d, w) in enumerate(parts)]
+        )
+
+    def scheme_of(self, degree: int) -> Collocation:
+        """The collocation of a degree."""
+        return collocation(self.scheme, degree)
+
+    def find(self, shares: Array) -> tuple[Numbers, Array]:
+        """Interval of shares of the duration, and where in it they are, 0 .. 1."""
+        knots = self.knots
+        i = np.clip(np.searchsorted(knots, shares, side="right") - 1, 0, self.intervals - 1)
+        return i, (shares - knots[i]) / np.maximum(self.widths[i], np.finfo(float).tiny)
+
+
+def mesh_of(
+    scheme: str, degrees: Sequence[int], widths: Array, free: Sequence[bool] | None = None
+) -> Mesh:
+    """A mesh of some intervals."""
+    moves = np.zeros(len(degrees), dtype=np.bool_) if free is None else np.array(free, dtype=bool)
+    whole = np.asarray(widths, dtype=np.float64)
+    return Mesh(scheme, np.array(degrees, dtype=np.intp), whole / whole.sum(), moves)
+
+
+def refined(mesh: Mesh, errors: Array, tolerance: float) -> Mesh:
+    """Intervals whose error is too large are split, by the order of their method.
+
+    Args:
+        errors: Relative error of each interval, shape (n,).
+        tolerance: What is accepted.
+    """
+    degrees, widths = list[int](), list[float]()
+    for degree, width, error in zip(mesh.degrees, mesh.widths, errors, strict=True):
+        parts = 1
+        if error > tolerance and width > _SHORTEST:
+            wanted = (error / (_SAFE * tolerance)) ** (1.0 / (degree + 1))
+            parts = min(max(2, math.ceil(wanted)), _MOST_PARTS)
+        degrees += [int(degree)] * parts
+        widths += [width / parts] * parts
+    return mesh_of(mesh.scheme, degrees, np.array(widths))
+
+
+def with_knots(mesh: Mesh, shares: list[float]) -> Mesh:
+    """The mesh with a node that may move at each of some places."""
+    knots, degrees, moving = mesh.knots.tolist(), mesh.degrees.tolist(), set[float]()
+    for share in shares:
+        i = int(np.clip(np.searchsorted(knots, share, side="right") - 1, 0, len(degrees) - 1))
+        near = min((knots[i], knots[i + 1]), key=lambda one: abs(one - share))
+        if abs(near - share) > _AT_NODE * (knots[i + 1] - knots[i]):
+            knots.insert(i + 1, share)
+            degrees.insert(i + 1, degrees[i])
+            near = share
+        if 0.0 < near < 1.0:
+            moving.add(near)
+    free = np.array([knot in moving for knot in knots[1:]], dtype=np.bool_)
+    return Mesh(mesh.scheme, np.array(degrees, dtype=np.intp), np.diff(knots), free)
+
+
+def is_settled(mesh: Mesh, shares: list[float]) -> bool:
+    """Whether every change is at a node that may move."""
+    moving = mesh.knots[1:][mesh.free]
+    return all(np.abs(moving - share).min(initial=np.inf) < 1.0e-9 for share in shares)
 
 
 class Collocation:
-    """A scheme of one degree.
+    """Collocation of one degree on an interval: points, and integrals of polynomials.
+
+        x(s) = x0 + h sum_k A_k(s) x'_k,   A_k(s) = integral of l_k from 0 to s
+
+    l_k are the polynomials of Lagrange of the points c_k in 0 .. 1. Source: E. Hairer, G. Wanner,
+    Solving Ordinary Differential Equations II, 1996, sec. IV.5.
 
     Args:
         scheme: One of `SCHEMES`; Hermite and Simpson's is the one of Lobatto with three points.
@@ -113,12 +217,6 @@ class Collocation:
         return found
 
 
-@cache
-def collocation(scheme: str, degree: int) -> Collocation:
-    """The scheme of a degree, made once."""
-    return Collocation(scheme, degree)
-
-
 def _points(scheme: str, degree: int) -> Array:
     if scheme == HERMITE_SIMPSON:
         return np.array([0.0, 0.5, 1.0])
@@ -130,102 +228,15 @@ def _points(scheme: str, degree: int) -> Array:
     return np.append(0.5 * (inner + 1.0), 1.0)
 
 
-# ---- mesh -------------------------------------------------------------------------------------
-# Intervals of a phase, and the next mesh.
-
-
-Numbers = NDArray[np.intp]
-Status = NDArray[np.int_]  # -1 at a lower bound, 1 at an upper one, else 0
-_UNKNOWN = 2  # no status: differs from all others
-_MOST = 24  # changes in a phase: more of them are no structure
-_SHORTEST = 1.0e-7  # of a phase: jumps are not resolved any further
-_WIDEST = 0.7  # of an interval that is to be split: the widest part that is left of it
-_AT_NODE = 0.02  # of an interval: a change so near to a node is at it
-_MOST_PARTS = 4  # of one interval at once: an estimate far from its limit says no more
-_SAFE = 0.5  # of the tolerance: what a refined interval aims at
-
-
-class Mesh(NamedTuple):
-    """Intervals of a phase.
-
-    Attributes:
-        scheme: Name of the collocation.
-        degrees: Of each interval, shape (n,).
-        widths: Their shares of the duration, adding up to 1, shape (n,).
-        free: Whether the end of an interval may move, the last one never, shape (n,).
-    """
-
-    scheme: str
-    degrees: Numbers
-    widths: Array
-    free: NDArray[np.bool_]
-
-    @property
-    def intervals(self) -> int:
-        """Number of intervals."""
-        return len(self.degrees)
-
-    @property
-    def knots(self) -> Array:
-        """Ends of intervals as shares of the duration, shape (n + 1,)."""
-        found = np.concatenate(([0.0], np.cumsum(self.widths)))
-        found[-1] = 1.0
-        return found
-
-    @property
-    def first_points(self) -> Numbers:
-        """Number of the first point of each interval, then of all, shape (n + 1,)."""
-        return np.concatenate(([0], np.cumsum(self.degrees))).astype(np.intp)
-
-    @property
-    def shares(self) -> Array:
-        """Where the points are, as shares of the duration, shape (points,)."""
-        starts, parts = self.knots, zip(self.degrees, self.widths, strict=True)
-        return np.concatenate(
-            [starts[i] + w * self.scheme_of(int(d)).c for i, (d, w) in enumerate(parts)]
-        )
-
-    def scheme_of(self, degree: int) -> Collocation:
-        """The collocation of a degree."""
-        return collocation(self.scheme, degree)
-
-    def find(self, shares: Array) -> tuple[Numbers, Array]:
-        """Interval of shares of the duration, and where in it they are, 0 .. 1."""
-        knots = self.knots
-        i = np.clip(np.searchsorted(knots, shares, side="right") - 1, 0, self.intervals - 1)
-        return i, (shares - knots[i]) / np.maximum(self.widths[i], np.finfo(float).tiny)
+@cache
+def collocation(scheme: str, degree: int) -> Collocation:
+    """The scheme of a degree, made once."""
+    return Collocation(scheme, degree)
 
 
 def uniform_mesh(scheme: str, degree: int, count: int) -> Mesh:
     """Equal intervals of one degree."""
     return mesh_of(scheme, [degree] * count, np.full(count, 1.0 / count))
-
-
-def mesh_of(
-    scheme: str, degrees: Sequence[int], widths: Array, free: Sequence[bool] | None = None
-) -> Mesh:
-    """A mesh of some intervals."""
-    moves = np.zeros(len(degrees), dtype=np.bool_) if free is None else np.array(free, dtype=bool)
-    whole = np.asarray(widths, dtype=np.float64)
-    return Mesh(scheme, np.array(degrees, dtype=np.intp), whole / whole.sum(), moves)
-
-
-def refined(mesh: Mesh, errors: Array, tolerance: float) -> Mesh:
-    """Intervals whose error is too large are split, by the order of their method.
-
-    Args:
-        errors: Relative error of each interval, shape (n,).
-        tolerance: What is accepted.
-    """
-    degrees, widths = list[int](), list[float]()
-    for degree, width, error in zip(mesh.degrees, mesh.widths, errors, strict=True):
-        parts = 1
-        if error > tolerance and width > _SHORTEST:
-            wanted = (error / (_SAFE * tolerance)) ** (1.0 / (degree + 1))
-            parts = min(max(2, math.ceil(wanted)), _MOST_PARTS)
-        degrees += [int(degree)] * parts
-        widths += [width / parts] * parts
-    return mesh_of(mesh.scheme, degrees, np.array(widths))
 
 
 def changes(mesh: Mesh, status: Status, inputs: Array) -> list[float]:
@@ -259,28 +270,6 @@ def _jump(mesh: Mesh, interval: int, values: Array) -> float:
     mean = float(mesh.scheme_of(int(mesh.degrees[interval])).b @ some)
     inside = np.clip((mean - some[-1]) / (some[0] - some[-1]), 0.0, 1.0)
     return float(mesh.knots[interval] + mesh.widths[interval] * inside)
-
-
-def with_knots(mesh: Mesh, shares: list[float]) -> Mesh:
-    """The mesh with a node that may move at each of some places."""
-    knots, degrees, moving = mesh.knots.tolist(), mesh.degrees.tolist(), set[float]()
-    for share in shares:
-        i = int(np.clip(np.searchsorted(knots, share, side="right") - 1, 0, len(degrees) - 1))
-        near = min((knots[i], knots[i + 1]), key=lambda one: abs(one - share))
-        if abs(near - share) > _AT_NODE * (knots[i + 1] - knots[i]):
-            knots.insert(i + 1, share)
-            degrees.insert(i + 1, degrees[i])
-            near = share
-        if 0.0 < near < 1.0:
-            moving.add(near)
-    free = np.array([knot in moving for knot in knots[1:]], dtype=np.bool_)
-    return Mesh(mesh.scheme, np.array(degrees, dtype=np.intp), np.diff(knots), free)
-
-
-def is_settled(mesh: Mesh, shares: list[float]) -> bool:
-    """Whether every change is at a node that may move."""
-    moving = mesh.knots[1:][mesh.free]
-    return all(np.abs(moving - share).min(initial=np.inf) < 1.0e-9 for share in shares)
 
 
 def bracketed(mesh: Mesh, status: Status, begins: Status, wanted: NDArray[np.bool_]) -> Mesh:

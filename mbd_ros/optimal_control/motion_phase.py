@@ -42,7 +42,6 @@ class MotionPhase:
         given: Inputs that are known over time.
 
     Attributes:
-        quantities: By name.
         forms: Equations on meshes.
 
     Raises:

@@ -28,7 +28,6 @@ class MotionProgram:
 
     Args:
         phases: The phases, in order; their parameters are the first unknowns.
-        parameters: Unknown numbers.
         begin: Time at which the first phase begins [s].
         linkages: What links ends of phases.
     """

@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 
+from mbd_ros.compiled.symbols.constrained_motion import Rows
 from mbd_ros.compiled.symbols.equations import Equations
 from mbd_ros.compiled.symbols.implicit import residual
-from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.scalar import column, scalars
 from mbd_ros.core.rows.constraint import Level
 from mbd_ros.core.state import Array, State

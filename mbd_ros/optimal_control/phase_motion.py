@@ -150,8 +150,6 @@ class Sizes(NamedTuple):
     Attributes:
         nq: Of the configuration of what is integrated.
         nv: Of its velocity.
-        nz: Internal states.
-        nu: Inputs.
         m: Rows of accelerations, with a multiplier each.
         mg: Those of them that state positions, and depend on no others.
         mk: Those of them that depend on no others.
@@ -232,7 +230,6 @@ def steps_of(mesh: Mesh, nodes: Array, points: Array, bases: tuple[tuple[int, in
 
     Args:
         nodes: Configurations at nodes.
-        points: At points.
         bases: Where the poses stand in them.
 
     Returns:

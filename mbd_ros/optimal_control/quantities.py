@@ -337,7 +337,6 @@ class Quantity(NamedTuple):
 
     Attributes:
         name: As tasks call it.
-        value: Its expression.
         letter: That of the unknown that it is; empty for other expressions.
         index: Its place in that.
     """

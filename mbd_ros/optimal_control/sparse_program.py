@@ -181,11 +181,9 @@ class Block:
     """A form at its places.
 
     Args:
-        name: For messages.
         places: Numbers of its unknowns in the program, shape (size, m).
         data: What is known at each place, shape (.., m); None for nothing.
         lower: Of rows, shape (rows,) or (rows, m).
-        upper: The same.
         size: Usual sizes of rows, the same.
     """
 

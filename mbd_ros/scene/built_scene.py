@@ -460,7 +460,6 @@ def bind_inputs(
     Actuators come first, in their order, then the others in the order of the table.
 
     Args:
-        sections: The table.
         parts: Built sections by key.
     """
     built = [(s, parts[s.key]) for s in sections if s.key in parts]

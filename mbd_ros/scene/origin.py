@@ -11,7 +11,6 @@ class Model(NamedTuple):
     """A model that was read, and what it brought.
 
     Attributes:
-        source: The file.
         urdf: Its bodies and joints.
         brought: Sections by key, as they were merged.
         left_out: What the scene does not have of it, a line each.

@@ -22,8 +22,7 @@ from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import NotZero
 from mbd_ros.core.rows.constraint import Constraint
-from mbd_ros.core.rows.constraint_rows import RowLayout
-from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.constraint_rows import CouplingRows, RowLayout
 from mbd_ros.core.rows.frame_rows import HeldContact
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
@@ -376,7 +375,6 @@ def relabelling_of(scene: Scene, entry: ResetEntry, where: str) -> Relabelling |
     """The relabelling of a reset; None where everything keeps its name.
 
     Args:
-        entry: The reset.
         where: File and key, for the messages.
 
     Raises:

@@ -70,7 +70,6 @@ def build_scene(
 
     Args:
         origin: Where they come from.
-        entries: By key.
         kept: What is built already.
 
     Raises:

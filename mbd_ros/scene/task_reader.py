@@ -17,8 +17,6 @@ class Task(NamedTuple):
     """A task for a scene.
 
     Attributes:
-        path: The file.
-        scene: The scene.
         parts: The built sections, by key: `parts["simulate"]` is a `SimulateTask`.
         entries: The sections as given, by key.
     """

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _write(arguments: argparse.Namespace, scene: "Scene") -> int:
     """Write the motion as one file."""
-    from mbd_ros.files.output_file import replacing
+    from mbd_ros.files.text_file import replacing
     from mbd_ros.view.controls import Rerun
     from mbd_ros.view.frames import Frames
     from mbd_ros.view.motion import viewed_motion

@@ -25,103 +25,8 @@ from mbd_ros.view.drawing import Drawing
 from mbd_ros.view.frames import joint_indices
 from mbd_ros.view.motion import ViewedMotion
 
-# ---- rerun ------------------------------------------------------------------------------------
-# A scene that runs again from another start and with other numbers.
-
-
 _TURN = 3.14  # rad: reach of a joint without limits
-_RERUN_MOST = 12  # joints with a slider
-
-
-class Rerun:
-    """What may be changed of a scene, and the run with it.
-
-    Args:
-        scene: The scene as it is.
-        named: Numbers to change, `<part>.<argument>`.
-
-    Attributes:
-        starts: Independent joint -> first position, lowest and highest [rad or m].
-        numbers: Number -> value, lowest and highest.
-
-    Raises:
-        SceneError: There is no such number.
-    """
-
-    def __init__(self, scene: Scene, named: Sequence[str] = ()) -> None:
-        self._scene, self._duration = scene, 2.0
-        self.starts = {
-            joint.name: _ranged(float(scene.initial.q[joint.q]), joint.lower, joint.upper)
-            for joint in scene.robot.joints
-            if joint.name in scene.couplings.independent
-        }
-        self.starts = dict(list(self.starts.items())[:_RERUN_MOST])
-        self.numbers = {name: self._number(name) for name in named}
-
-    @property
-    def duration(self) -> float:
-        """Of a run [s]."""
-        return self._duration
-
-    @duration.setter
-    def duration(self, value: float) -> None:
-        if not 0.0 < value < np.inf:
-            raise DataError(f"--time {value:g}: accepted are finite times > 0")
-        self._duration = value
-
-    def _number(self, name: str) -> tuple[float, float, float]:
-
-        place, path = found_place(self._scene.origin.changed(), places_of(self._scene), name)
-        value: Any = self._scene.entries[place.section]
-        if place.at is not None:
-            value = value[place.at]
-        for key in path:
-            value = value.get(key) if isinstance(value, Mapping) else None
-        if isinstance(value, bool) or not isinstance(value, int | float):
-            raise SceneError(f"{self._scene.name}: {name} is no single number of the file")
-        ends = sorted((0.0, 2.0 * value)) if value else (-1.0, 1.0)
-        return float(value), *map(float, ends)
-
-    def run(self, wishes: Mapping[str, float]) -> tuple[Scene, Result, list[str]]:
-        """Run the scene with other numbers.
-
-        Args:
-            wishes: Value of each of `starts` and `numbers` that differs.
-
-        Returns:
-            The scene that ran, its result, and lines for people.
-
-        Raises:
-            MbdError: The scene does not accept the numbers, or has no consistent start.
-        """
-        scene = self._scene
-        numbers = {name: wishes[name] for name in self.numbers if name in wishes}
-        if numbers:
-            scene = with_numbers(scene, numbers)
-        starts = {name: wishes[name] for name in self.starts if name in wishes}
-        if starts:
-            initial = dict(scene.entries.get("initial") or {})
-            initial["position"] = {**(initial.get("position") or {}), **starts}
-            scene = with_sections(scene, initial=initial)
-        said = list[str]()
-        try:
-            return scene, simulate(scene, self._duration, say=said.append), said
-        except Interrupted as error:
-            if error.result is None:
-                raise
-            return scene, error.result, [*said, str(error)]
-
-
-def _ranged(value: float, lower: float, upper: float) -> tuple[float, float, float]:
-    low = lower if np.isfinite(lower) else value - _TURN
-    high = upper if np.isfinite(upper) else value + _TURN
-    return value, min(low, value), max(high, value)
-
-
-# ---- controls ---------------------------------------------------------------------------------
-# The panel of the page: fields, pictures and films.
-
-
+_MOST_SLIDERS = 12  # joints with a slider
 _STEPS = 1000  # of a slider
 _NOBODY = "nobody"
 _HEIGHT, _WIDTH = 720, 1280
@@ -331,21 +236,93 @@ def _send(client: Any, controls: Controls, name: str, make: Any) -> None:
         controls.say([f"{name}: {install_hint(error.name or '') or error}"])
 
 
-def png(image: Any) -> bytes:
-    """A picture as a file.
-
-    Args:
-        image: Shape (height, width, 3 or 4), uint8.
-    """
-    from PIL import Image
-
-    file = io.BytesIO()
-    Image.fromarray(np.asarray(image, dtype=np.uint8)).save(file, "PNG")
-    return file.getvalue()
-
-
 def _image(client: Any, transport: str) -> Any:
     return client.get_render(_HEIGHT, _WIDTH, transport_format=transport, timeout=_PATIENCE)
+
+
+class Rerun:
+    """What may be changed of a scene, and the run with it.
+
+    Args:
+        scene: The scene as it is.
+        named: Numbers to change, `<part>.<argument>`.
+
+    Attributes:
+        starts: Independent joint -> first position, lowest and highest [rad or m].
+        numbers: Number -> value, lowest and highest.
+
+    Raises:
+        SceneError: There is no such number.
+    """
+
+    def __init__(self, scene: Scene, named: Sequence[str] = ()) -> None:
+        self._scene, self._duration = scene, 2.0
+        self.starts = {
+            joint.name: _ranged(float(scene.initial.q[joint.q]), joint.lower, joint.upper)
+            for joint in scene.robot.joints
+            if joint.name in scene.couplings.independent
+        }
+        self.starts = dict(list(self.starts.items())[:_MOST_SLIDERS])
+        self.numbers = {name: self._number(name) for name in named}
+
+    @property
+    def duration(self) -> float:
+        """Of a run [s]."""
+        return self._duration
+
+    @duration.setter
+    def duration(self, value: float) -> None:
+        if not 0.0 < value < np.inf:
+            raise DataError(f"--time {value:g}: accepted are finite times > 0")
+        self._duration = value
+
+    def _number(self, name: str) -> tuple[float, float, float]:
+
+        place, path = found_place(self._scene.origin.changed(), places_of(self._scene), name)
+        value: Any = self._scene.entries[place.section]
+        if place.at is not None:
+            value = value[place.at]
+        for key in path:
+            value = value.get(key) if isinstance(value, Mapping) else None
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise SceneError(f"{self._scene.name}: {name} is no single number of the file")
+        ends = sorted((0.0, 2.0 * value)) if value else (-1.0, 1.0)
+        return float(value), *map(float, ends)
+
+    def run(self, wishes: Mapping[str, float]) -> tuple[Scene, Result, list[str]]:
+        """Run the scene with other numbers.
+
+        Args:
+            wishes: Value of each of `starts` and `numbers` that differs.
+
+        Returns:
+            The scene that ran, its result, and lines for people.
+
+        Raises:
+            MbdError: The scene does not accept the numbers, or has no consistent start.
+        """
+        scene = self._scene
+        numbers = {name: wishes[name] for name in self.numbers if name in wishes}
+        if numbers:
+            scene = with_numbers(scene, numbers)
+        starts = {name: wishes[name] for name in self.starts if name in wishes}
+        if starts:
+            initial = dict(scene.entries.get("initial") or {})
+            initial["position"] = {**(initial.get("position") or {}), **starts}
+            scene = with_sections(scene, initial=initial)
+        said = list[str]()
+        try:
+            return scene, simulate(scene, self._duration, say=said.append), said
+        except Interrupted as error:
+            if error.result is None:
+                raise
+            return scene, error.result, [*said, str(error)]
+
+
+def _ranged(value: float, lower: float, upper: float) -> tuple[float, float, float]:
+    low = lower if np.isfinite(lower) else value - _TURN
+    high = upper if np.isfinite(upper) else value + _TURN
+    return value, min(low, value), max(high, value)
 
 
 def film(client: Any, controls: Controls) -> None:
@@ -354,6 +331,15 @@ def film(client: Any, controls: Controls) -> None:
     count = round(controls.end / controls.speed * _RATE)
     times = np.linspace(0.0, controls.end, min(max(count, _FEWEST), _MOST)).tolist()
     _send(client, controls, "view.mp4", lambda: mp4(_images(client, controls, times)))
+
+
+def _images(client: Any, controls: Controls, times: Iterable[float]) -> Iterable[Any]:
+    for now in times:
+        controls.now = now
+        end = time.monotonic() + _PATIENCE
+        while controls.reached != controls.now and time.monotonic() < end:
+            time.sleep(_WAIT)
+        yield _image(client, "jpeg")
 
 
 def mp4(images: Iterable[Any]) -> bytes:
@@ -378,10 +364,14 @@ def mp4(images: Iterable[Any]) -> bytes:
     return file.getvalue()
 
 
-def _images(client: Any, controls: Controls, times: Iterable[float]) -> Iterable[Any]:
-    for now in times:
-        controls.now = now
-        end = time.monotonic() + _PATIENCE
-        while controls.reached != controls.now and time.monotonic() < end:
-            time.sleep(_WAIT)
-        yield _image(client, "jpeg")
+def png(image: Any) -> bytes:
+    """A picture as a file.
+
+    Args:
+        image: Shape (height, width, 3 or 4), uint8.
+    """
+    from PIL import Image
+
+    file = io.BytesIO()
+    Image.fromarray(np.asarray(image, dtype=np.uint8)).save(file, "PNG")
+    return file.getvalue()

@@ -43,7 +43,6 @@ class Drawing:
 
     Attributes:
         frames: What is drawn, as arrays.
-        stage: The nodes.
         motion: What is shown.
         remarks: What cannot be drawn, a line each.
         size: Of the robot [m].
@@ -282,7 +281,6 @@ class Ground:
 
         Args:
             low: Least corner of the box around all that is looked at [m], shape (3,).
-            high: Greatest corner.
         """
         lines, colours = _grid(self._axes, size_of(low, high), low, high)
         thickness = {"thickness": 1.0, "thickness_units": "screen"}

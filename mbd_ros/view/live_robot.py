@@ -40,13 +40,11 @@ class LiveRobot:
         kept: Samples that curves show.
 
     Attributes:
-        scene: The scene.
         frames: What is drawn of it.
         curves: Its last seconds.
         remarks: What cannot be drawn, a line each.
         size: Of the robot [m].
         low: Least corner of the box around it at the start, less `Robot.origin` [m], shape (3,).
-        high: Greatest corner.
         up: Axes whose last one is up, shape (3, 3).
         offset: From there to the page [m], shape (3,).
         drawn: What was drawn last.

@@ -25,7 +25,6 @@ class AnimatedPage(NamedTuple):
     """A page.
 
     Attributes:
-        text: HTML.
         remarks: What cannot be drawn, a line each.
     """
 

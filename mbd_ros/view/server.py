@@ -171,7 +171,6 @@ class Guard:
 
     Args:
         host: Address of that server.
-        port: Its port.
         token: What a browser must know; empty where everybody on this machine may pass.
         origins: Addresses of pages that may open websockets besides the own one, such as
             `https://robots.example`.
@@ -289,7 +288,6 @@ class _Head(NamedTuple):
     """The head of a request.
 
     Attributes:
-        path: Without query.
         tokens: What the query calls so.
         headers: Of the request.
     """

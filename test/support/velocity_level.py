@@ -12,8 +12,7 @@ from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.coupling_functions import Linear
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
-from mbd_ros.core.rows.constraint_rows import RowLayout
-from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.constraint_rows import CouplingRows, RowLayout
 from mbd_ros.core.state import State
 from mbd_ros.parts.constraints.loop_closure import LoopClosure
 

@@ -41,7 +41,6 @@ def write_scenes(
     """Write the simulated scene (`PLANT`) and that of the controller (`MODEL`).
 
     Args:
-        folder: Where to.
         robot: Its scene is the source of both.
         joints: Where the disturbance acts.
         added: The disturbance, of which only the plant knows.

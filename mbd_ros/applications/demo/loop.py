@@ -231,8 +231,6 @@ class LoopRun(NamedTuple):
         folder: With the scenes and the gains.
         watched: Scene of the inverse dynamics: the true robot, without the disturbance.
         law: A key of `LAWS`.
-        joints: Actuated joints.
-        trajectory: Their reference.
         duration: [s].
         has_rows: Whether the plant has constraint rows.
         has_coupling: Whether it has dependent joints.
@@ -269,7 +267,6 @@ class Recorder:
         messages: All messages; log times are those of publishing.
         newest: Topic -> its newest message, serialized; of topics that something came on.
         health: Node -> its newest status.
-        check: As given.
     """
 
     def __init__(self, topics: Mapping[str, str], check: Callable[[], None], nodes: int) -> None:

@@ -47,11 +47,9 @@ class DemoNumbers:
     """Numbers of a demo; arrays have one row a joint state from `SETTLED` on.
 
     Args:
-        signals: The recording.
         folder: With the scene of the plant, which knows the disturbance.
 
     Attributes:
-        signals: As given.
         joints: Actuated joints, in the order of the commands; one column each.
         plant: Scene of the plant.
         time: [s], shape (k,).
@@ -184,7 +182,6 @@ class Signals(NamedTuple):
         coupling: Estimated multipliers of the dependent joints; None without any.
         commands: Torques of the actuated joints, in the order of `loop` [N·m], shape (k, n).
         command_log: When each was published [ns], shape (k,).
-        trajectory: The reference.
         health: Reports of the simulator, in their order.
         logs: Topic -> when its messages were published [ns].
     """
@@ -205,12 +202,9 @@ class Series(NamedTuple):
     """A JointState topic, one row a message, one column a joint or constraint row; NaN is absent.
 
     Attributes:
-        names: Columns.
         log: When each message was published [ns of the system clock], shape (k,).
         time: Its stamp [s of simulated time], strictly increasing, shape (k,).
         position: Shape (k, n), as are velocity and effort.
-        velocity: See above.
-        effort: See above.
     """
 
     names: tuple[str, ...]
@@ -339,7 +333,6 @@ def read_signals(bag: Path, controller: str) -> Signals:
     """Read a demo.
 
     Args:
-        bag: The recording.
         controller: Fully qualified name of the node.
 
     Raises:

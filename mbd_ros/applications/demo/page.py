@@ -47,7 +47,6 @@ def conclusion(content: Content, files: str, out: Path) -> Iterator[str]:
 
     Args:
         files: What the folder holds besides picture and page.
-        out: The folder.
 
     Raises:
         Failed: A check is not met.
@@ -131,13 +130,10 @@ class Content(NamedTuple):
     """Contents of a page.
 
     Attributes:
-        title: Heading.
         facts: Line below it.
         failed: Checks that are not met.
-        text: Paragraphs.
         moving: What moves, HTML, and a line below it.
         pictures: Caption -> PNG.
-        tables: The summary.
         made: Name -> value, how it was made.
     """
 

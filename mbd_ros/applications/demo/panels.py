@@ -23,7 +23,6 @@ def picture(draw: Draw, count: int) -> bytes:
 
     Args:
         draw: Fills an axis, given the number of its panel.
-        count: Of panels.
     """
     figure, grid = _panels(count, 1)
     _fill(grid[:, 0], draw)

@@ -39,7 +39,6 @@ class NodeProcesses:
     """Running nodes; what they log goes to files.
 
     Args:
-        commands: The nodes.
         environment: Of the processes.
         logs: Folder for the logs.
     """

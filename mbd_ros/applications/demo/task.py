@@ -31,7 +31,6 @@ class DemoRobot(NamedTuple):
     """A robot of the demo; sequences have one value an actuated joint, in their order.
 
     Attributes:
-        title: For people.
         scene: Scene with actuators.
         size: Amplitude of the reference [rad].
         speed: Angular frequency of the reference [rad/s].

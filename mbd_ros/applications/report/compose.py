@@ -28,7 +28,7 @@ from mbd_ros.applications.report.subjects import Subject, subjects
 from mbd_ros.compiled.build.compiler import cores
 from mbd_ros.errors import FAILED, DataError, MbdError
 from mbd_ros.features.simulation.job import Interrupted, simulate
-from mbd_ros.files.output_file import replacing
+from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.workers.opening import Remaining, Workers, do_all, open_workers, spoken, watched
 from mbd_ros.jobs.workers.task import Result, Task, cpu
 from mbd_ros.scene.reader import load_scene
@@ -288,7 +288,6 @@ def finish(
     """Do items and store every result at once.
 
     Args:
-        work: The items.
         store: Where results are kept.
         workers: Those who do them.
         elsewhere: They may have another version of this package, and are asked.
@@ -334,7 +333,6 @@ def scene_pages(subjects: Sequence[Subject], folder: Path, made: dict[str, str])
     """Write a page for each scene that runs.
 
     Args:
-        subjects: The scenes.
         folder: Of the report.
         made: Is filled in: name of a scene -> its page, relative to the folder.
 

@@ -54,7 +54,6 @@ class Section(NamedTuple):
     """A part of the page.
 
     Attributes:
-        title: Heading.
         text: Paragraphs, plain text.
         tables: Shown after the text.
         figures: File name without ending -> matplotlib Figure; the rest is shown after the

@@ -18,7 +18,7 @@ from urllib.parse import quote
 
 from mbd_ros.applications.report.items import Section, Table
 from mbd_ros.errors import DataError
-from mbd_ros.files.output_file import replacing
+from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.workers.opening import spoken
 
 # A section of the page: texts, tables, pictures, and lines to paste.
@@ -133,7 +133,6 @@ def section_lines(kind: str, section: Section, pictures: Mapping[str, bytes]) ->
     """A section as HTML.
 
     Args:
-        kind: Its anchor.
         section: What it says.
         pictures: Name of a figure -> PNG.
 
@@ -254,7 +253,6 @@ def put_headlines(readme: Path, folder: Path) -> Iterator[str]:
     """Replace what is between the marks of a page, and the plot in `images` beside it.
 
     Args:
-        readme: The page.
         folder: That of a report.
 
     Yields:

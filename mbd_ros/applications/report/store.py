@@ -21,7 +21,7 @@ import mbd_ros
 from mbd_ros.applications.report import items
 from mbd_ros.applications.report.items import Item
 from mbd_ros.errors import DataError, SceneError
-from mbd_ros.files.output_file import replacing
+from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.workers.task import Result
 from mbd_ros.scene.schema.locate import find_file
 

@@ -41,7 +41,6 @@ class Subject(NamedTuple):
 
     Attributes:
         name: Letters, digits, `_` and `-` (those of this package: and `.`), unique.
-        path: Scene file.
         times: Increasing, > 0 [s].
     """
 

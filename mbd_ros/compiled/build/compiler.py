@@ -35,7 +35,6 @@ class Compiler(NamedTuple):
     """A C compiler.
 
     Attributes:
-        words: The command.
         identity: What tells it from other versions of it.
     """
 

@@ -14,155 +14,7 @@ import casadi as ca
 
 from mbd_ros.compiled.symbols.untraceable import Untraceable
 
-# ---- instructions -----------------------------------------------------------------------------
-# A function of CasADi symbols as a list of values, each computed once.
-
-
 COMMUTE = {ca.OP_ADD, ca.OP_MUL, ca.OP_FMIN, ca.OP_FMAX, ca.OP_AND, ca.OP_OR, ca.OP_EQ, ca.OP_NE}
-
-
-def instructions(function: ca.Function) -> Instructions:
-    """The list of values of a function.
-
-    Args:
-        function: Of scalar symbols (SX), without free ones.
-
-    Raises:
-        CodeError: It is of matrix symbols, or has free ones.
-    """
-    name = function.name()
-    if not function.is_a("SXFunction"):
-        raise CodeError(f"{name} is no function of scalar symbols (SX): expand it first")
-    if function.has_free():
-        raise CodeError(f"{name} has symbols that are no argument: {function.get_free()}")
-    values, outputs = _numbered(function)
-    sizes = (function.numel_in, function.n_in()), (function.numel_out, function.n_out())
-    arguments, results = (tuple(size(k) for k in range(n)) for size, n in sizes)
-    return Instructions(name, arguments, results, values, outputs)
-
-
-class CodeError(Untraceable):
-    """Symbols that cannot become code: names the function and the operation."""
-
-
-def _numbered(function: ca.Function) -> tuple[list[Value], list[Output]]:
-    """Every different value once, and what is written of them."""
-    values: list[Value] = []
-    known: dict[Value, int] = {}
-    held: dict[int, int] = {}  # place in CasADi's work vector -> value
-    outputs: list[Output] = []
-    read = [function.sparsity_in(k).find() for k in range(function.n_in())]
-    written = [function.sparsity_out(k).find() for k in range(function.n_out())]
-    for k in range(function.n_instructions()):
-        code, into = function.instruction_id(k), function.instruction_output(k)
-        places = function.instruction_input(k)
-        if code == ca.OP_OUTPUT:
-            result, nonzero = into
-            outputs.append(Output(result, written[result][nonzero], held[places[0]]))
-            continue
-        if code == ca.OP_CONST:
-            value = Value(code, constant=float(function.instruction_constant(k)).hex())
-        elif code == ca.OP_INPUT:
-            value = Value(code, (places[0], read[places[0]][places[1]]))
-        else:
-            operands = tuple(held[place] for place in places)
-            value = Value(code, tuple(sorted(operands)) if code in COMMUTE else operands)
-        if value not in known:
-            known[value] = len(values)
-            values.append(value)
-        held[into[0]] = known[value]
-    return values, outputs
-
-
-class Instructions(NamedTuple):
-    """What a function computes.
-
-    Attributes:
-        name: Of the function.
-        arguments: Sizes of its arguments, as dense columns.
-        results: Sizes of its results.
-        values: In an order in which they can be computed; none is there twice.
-        outputs: What is written; other places of a result are zero.
-    """
-
-    name: str
-    arguments: tuple[int, ...]
-    results: tuple[int, ...]
-    values: list[Value]
-    outputs: list[Output]
-
-    @property
-    def operations(self) -> int:
-        """How many values are computed."""
-        return sum(value.computed for value in self.values)
-
-
-class Value(NamedTuple):
-    """One number that a function computes or reads.
-
-    Attributes:
-        code: Operation, as CasADi numbers them; a constant, an input or what computes it.
-        operands: Numbers of the values that it is computed from; of an input: which argument, and
-            the place in it.
-        constant: Of a constant.
-    """
-
-    code: int
-    operands: tuple[int, ...] = ()
-    constant: str = ""
-
-    @property
-    def computed(self) -> bool:
-        """Whether it is neither a constant nor an input."""
-        return self.code not in (ca.OP_CONST, ca.OP_INPUT)
-
-
-class Output(NamedTuple):
-    """Where a value is written: which result, and the place in its columns."""
-
-    result: int
-    place: int
-    value: int
-
-
-def with_reciprocals(code: Instructions) -> Instructions:
-    """The same values, with one division for each divisor that several values share.
-
-    A quotient then differs by a unit in the last place.
-    """
-    divisors = Counter(_divisor(value) for value in code.values)
-    shared = {number for number, n in divisors.items() if n > 1 and number is not None}
-    values: list[Value] = []
-    known: dict[Value, int] = {}
-    now: list[int] = []  # old number -> new number
-
-    def number(value: Value) -> int:
-        if value not in known:
-            known[value] = len(values)
-            values.append(value)
-        return known[value]
-
-    for value in code.values:
-        operands = tuple(now[k] for k in value.operands) if value.computed else value.operands
-        new = value._replace(operands=operands)
-        if value.code == ca.OP_DIV and value.operands[1] in shared:
-            reciprocal = number(Value(ca.OP_INV, (operands[1],)))
-            new = Value(ca.OP_MUL, tuple(sorted((operands[0], reciprocal))))
-        now.append(number(new))
-    outputs = [output._replace(value=now[output.value]) for output in code.outputs]
-    return code._replace(values=values, outputs=outputs)
-
-
-def _divisor(value: Value) -> int | None:
-    if value.code == ca.OP_DIV:
-        return value.operands[1]
-    return value.operands[0] if value.code == ca.OP_INV else None
-
-
-# ---- c function -------------------------------------------------------------------------------
-# A function as C: short functions that run one after the other.
-
-
 ROOM = 2  # values are passed in a multiple of these: SINES_ROOM of sines.h
 _PLAIN = {
     *(ca.OP_CONST, ca.OP_INPUT, ca.OP_ADD, ca.OP_SUB, ca.OP_MUL, ca.OP_DIV, ca.OP_NEG),
@@ -273,39 +125,6 @@ def turns(code: Instructions) -> Turns:
     return Turns(early, angles, sines, cosines, after)
 
 
-class Turns(NamedTuple):
-    """The angles of a function, and what waits for their sines and cosines.
-
-    Attributes:
-        before: Computed values that the angles are made of, in order.
-        angles: Numbers of the values of which sines and cosines are taken.
-        sines: Angle -> number of its sine, where there is one.
-        cosines: The same of the cosines.
-        after: All other computed values, in order.
-    """
-
-    before: list[int]
-    angles: list[int]
-    sines: dict[int, int]
-    cosines: dict[int, int]
-    after: list[int]
-
-    @property
-    def room(self) -> int:
-        """Size of an array of the sines."""
-        return -(-len(self.angles) // ROOM) * ROOM
-
-    def slots(self, first: int) -> dict[int, int]:
-        """Places of the sines, then the cosines, in two arrays that begin at a place.
-
-        Args:
-            first: Where the array of the sines begins.
-        """
-        places = {angle: first + k for k, angle in enumerate(self.angles)}
-        slots = {number: places[angle] for angle, number in self.sines.items()}
-        return slots | {n: self.room + places[angle] for angle, n in self.cosines.items()}
-
-
 def _plain(values: list[Value]) -> list[bool]:
     """Which values are made of inputs and constants by arithmetic."""
     plain: list[bool] = []
@@ -313,6 +132,26 @@ def _plain(values: list[Value]) -> list[bool]:
         operands = value.operands if value.computed else ()
         plain.append(value.code in _PLAIN and all(plain[operand] for operand in operands))
     return plain
+
+
+class Value(NamedTuple):
+    """One number that a function computes or reads.
+
+    Attributes:
+        code: Operation, as CasADi numbers them; a constant, an input or what computes it.
+        operands: Numbers of the values that it is computed from; of an input: which argument, and
+            the place in it.
+        constant: Of a constant.
+    """
+
+    code: int
+    operands: tuple[int, ...] = ()
+    constant: str = ""
+
+    @property
+    def computed(self) -> bool:
+        """Whether it is neither a constant nor an input."""
+        return self.code not in (ca.OP_CONST, ca.OP_INPUT)
 
 
 def _made_of(values: list[Value], ends: list[int]) -> list[int]:
@@ -344,20 +183,6 @@ def cut(code: Instructions, turns: Turns) -> Chunks:
     number = [n for n, chunk in enumerate(chunks) for _ in chunk]
     slots, work = _slots(order, last, number)
     return Chunks(chunks, slots | turns.slots(work), work + 2 * turns.room)
-
-
-class Chunks(NamedTuple):
-    """Values in the order in which they are computed, and those that wait between the chunks.
-
-    Attributes:
-        chunks: Numbers of the computed values, by chunk.
-        slots: Value -> its place among those that later chunks read.
-        work: How many places there are.
-    """
-
-    chunks: list[list[int]]
-    slots: dict[int, int]
-    work: int
 
 
 def _last_reads(values: list[Value], order: list[int], at: dict[int, int]) -> list[int]:
@@ -454,6 +279,10 @@ def expression(value: Value, operands: list[str], function: str) -> str:
     return f"real_{call}({', '.join(operands)})"
 
 
+class CodeError(Untraceable):
+    """Symbols that cannot become code: names the function and the operation."""
+
+
 def _sines(values: list[Value], early: Turns, first: int) -> Iterator[str]:
     """Sines and cosines of all angles, into the work from a place on."""
     if early.angles:
@@ -492,3 +321,164 @@ class CFunction(NamedTuple):
     declarations: list[str]
     calls: str
     work: int
+
+
+class Chunks(NamedTuple):
+    """Values in the order in which they are computed, and those that wait between the chunks.
+
+    Attributes:
+        chunks: Numbers of the computed values, by chunk.
+        slots: Value -> its place among those that later chunks read.
+        work: How many places there are.
+    """
+
+    chunks: list[list[int]]
+    slots: dict[int, int]
+    work: int
+
+
+class Turns(NamedTuple):
+    """The angles of a function, and what waits for their sines and cosines.
+
+    Attributes:
+        before: Computed values that the angles are made of, in order.
+        angles: Numbers of the values of which sines and cosines are taken.
+        sines: Angle -> number of its sine, where there is one.
+        cosines: The same of the cosines.
+        after: All other computed values, in order.
+    """
+
+    before: list[int]
+    angles: list[int]
+    sines: dict[int, int]
+    cosines: dict[int, int]
+    after: list[int]
+
+    @property
+    def room(self) -> int:
+        """Size of an array of the sines."""
+        return -(-len(self.angles) // ROOM) * ROOM
+
+    def slots(self, first: int) -> dict[int, int]:
+        """Places of the sines, then the cosines, in two arrays that begin at a place.
+
+        Args:
+            first: Where the array of the sines begins.
+        """
+        places = {angle: first + k for k, angle in enumerate(self.angles)}
+        slots = {number: places[angle] for angle, number in self.sines.items()}
+        return slots | {n: self.room + places[angle] for angle, n in self.cosines.items()}
+
+
+def instructions(function: ca.Function) -> Instructions:
+    """The list of values of a function.
+
+    Args:
+        function: Of scalar symbols (SX), without free ones.
+
+    Raises:
+        CodeError: It is of matrix symbols, or has free ones.
+    """
+    name = function.name()
+    if not function.is_a("SXFunction"):
+        raise CodeError(f"{name} is no function of scalar symbols (SX): expand it first")
+    if function.has_free():
+        raise CodeError(f"{name} has symbols that are no argument: {function.get_free()}")
+    values, outputs = _numbered(function)
+    sizes = (function.numel_in, function.n_in()), (function.numel_out, function.n_out())
+    arguments, results = (tuple(size(k) for k in range(n)) for size, n in sizes)
+    return Instructions(name, arguments, results, values, outputs)
+
+
+def _numbered(function: ca.Function) -> tuple[list[Value], list[Output]]:
+    """Every different value once, and what is written of them."""
+    values: list[Value] = []
+    known: dict[Value, int] = {}
+    held: dict[int, int] = {}  # place in CasADi's work vector -> value
+    outputs: list[Output] = []
+    read = [function.sparsity_in(k).find() for k in range(function.n_in())]
+    written = [function.sparsity_out(k).find() for k in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        code, into = function.instruction_id(k), function.instruction_output(k)
+        places = function.instruction_input(k)
+        if code == ca.OP_OUTPUT:
+            result, nonzero = into
+            outputs.append(Output(result, written[result][nonzero], held[places[0]]))
+            continue
+        if code == ca.OP_CONST:
+            value = Value(code, constant=float(function.instruction_constant(k)).hex())
+        elif code == ca.OP_INPUT:
+            value = Value(code, (places[0], read[places[0]][places[1]]))
+        else:
+            operands = tuple(held[place] for place in places)
+            value = Value(code, tuple(sorted(operands)) if code in COMMUTE else operands)
+        if value not in known:
+            known[value] = len(values)
+            values.append(value)
+        held[into[0]] = known[value]
+    return values, outputs
+
+
+class Output(NamedTuple):
+    """Where a value is written: which result, and the place in its columns."""
+
+    result: int
+    place: int
+    value: int
+
+
+class Instructions(NamedTuple):
+    """What a function computes.
+
+    Attributes:
+        name: Of the function.
+        arguments: Sizes of its arguments, as dense columns.
+        results: Sizes of its results.
+        values: In an order in which they can be computed; none is there twice.
+        outputs: What is written; other places of a result are zero.
+    """
+
+    name: str
+    arguments: tuple[int, ...]
+    results: tuple[int, ...]
+    values: list[Value]
+    outputs: list[Output]
+
+    @property
+    def operations(self) -> int:
+        """How many values are computed."""
+        return sum(value.computed for value in self.values)
+
+
+def with_reciprocals(code: Instructions) -> Instructions:
+    """The same values, with one division for each divisor that several values share.
+
+    A quotient then differs by a unit in the last place.
+    """
+    divisors = Counter(_divisor(value) for value in code.values)
+    shared = {number for number, n in divisors.items() if n > 1 and number is not None}
+    values: list[Value] = []
+    known: dict[Value, int] = {}
+    now: list[int] = []  # old number -> new number
+
+    def number(value: Value) -> int:
+        if value not in known:
+            known[value] = len(values)
+            values.append(value)
+        return known[value]
+
+    for value in code.values:
+        operands = tuple(now[k] for k in value.operands) if value.computed else value.operands
+        new = value._replace(operands=operands)
+        if value.code == ca.OP_DIV and value.operands[1] in shared:
+            reciprocal = number(Value(ca.OP_INV, (operands[1],)))
+            new = Value(ca.OP_MUL, tuple(sorted((operands[0], reciprocal))))
+        now.append(number(new))
+    outputs = [output._replace(value=now[output.value]) for output in code.outputs]
+    return code._replace(values=values, outputs=outputs)
+
+
+def _divisor(value: Value) -> int | None:
+    if value.code == ca.OP_DIV:
+        return value.operands[1]
+    return value.operands[0] if value.code == ca.OP_INV else None

@@ -20,7 +20,6 @@ class Source(NamedTuple):
     outside, with an array of the pointers.
 
     Attributes:
-        text: The source.
         units: Other sources that belong to it: of long functions, to be compiled side by side.
         lanes: How many numbers a real is.
         operations: Function -> how many values it computes.

@@ -31,7 +31,6 @@ class CompiledTriangles(KindSteps):
     """As `KindSteps`, of rigid triangles.
 
     Args:
-        kind: The molecules.
         tolerance: Not needed: rows are closed to rounding.
         projects: Whether velocities are moved onto the rows.
 

@@ -14,8 +14,7 @@ from mbd_ros.core.contracts import type_name
 from mbd_ros.core.loads.inputs import Pieces
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-from mbd_ros.methods.integration.adams import adams_weights, starter
-from mbd_ros.methods.integration.polynomial import powers
+from mbd_ros.methods.integration.adams import adams_weights, powers, starter
 from mbd_ros.methods.integration.runge_kutta import Tableau
 from mbd_ros.methods.integration.stepping import Integrator
 
@@ -51,12 +50,7 @@ def method_options(method: Integrator, dt: float) -> Held:
 
 
 class Held(NamedTuple):
-    """A structure for C and the arrays that it points to, which must live as long.
-
-    Attributes:
-        value: The structure.
-        arrays: The arrays.
-    """
+    """A structure for C and the arrays that it points to, which must live as long."""
 
     value: Any
     arrays: tuple[NDArray[Any], ...]

@@ -12,10 +12,16 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import casadi as ca
+import numpy as np
 
-from mbd_ros.compiled.symbols.rows import Rows
+from mbd_ros.compiled.symbols.scalar import plain
 from mbd_ros.compiled.symbols.sparse_ldl import Entries, SparseLdl, elimination_order
+from mbd_ros.compiled.symbols.symbolic_system import Coordinates
 from mbd_ros.compiled.symbols.tree.link_rotations import ZERO
+from mbd_ros.compiled.symbols.untraceable import tracing
+from mbd_ros.core.rows.constraint import Level
+from mbd_ros.core.rows.constraint_rows import RowBlock
+from mbd_ros.core.state import State
 
 SOFT = 1.0e-9  # of the usual size of a row: what is added to it where rows may be dependent
 _AGAIN = 2  # solutions for what that leaves
@@ -140,6 +146,98 @@ class ConstrainedMotion:
         )
 
 
+class Solution(NamedTuple):
+    """What holds at a state.
+
+    Attributes:
+        a: Accelerations of what is integrated, SX scalars.
+        lam: Multipliers of the rows, SX scalars.
+        pivots: What rows leave of themselves: -(J M^-1 J') without those before, SX scalars.
+        sound: Positive where rows that may depend on one another are solved; no SX without any.
+    """
+
+    a: list[Any]
+    lam: list[Any]
+    pivots: list[Any]
+    sound: Any = None
+
+
+class Rows(NamedTuple):
+    """Rows of one or more constraints: J a + drift = 0 keeps g' = J v + rate and g.
+
+    Attributes:
+        J: Entries that are not zero by row and velocity, SX scalars.
+        drift: SX scalars, one a row.
+        g: The same; 0 for rows of velocities.
+        level: Level of each row.
+    """
+
+    J: list[dict[int, Any]]
+    drift: list[Any]
+    g: list[Any]
+    rate: list[Any]
+    level: list[Level]
+
+    def velocities(self, v: Sequence[Any]) -> list[Any]:
+        """J v + rate, one SX scalar a row."""
+        return [
+            sum((value * v[j] for j, value in row.items()), rate)
+            for row, rate in zip(self.J, self.rate, strict=True)
+        ]
+
+    def conditions(self, v: Sequence[Any], gains: tuple[float, float]) -> list[Any]:
+        """The b of J a + b = g'' + kd g' + kp g."""
+        kp, kd = gains
+        if isinstance(kp, float) and kp == kd == 0.0:
+            return self.drift
+        parts = zip(self.drift, self.velocities(v), self.g, strict=True)
+        return [drift + kd * rate + kp * g for drift, rate, g in parts]
+
+    def of(self, level: Level) -> Rows:
+        """Those of one level."""
+        return self.only([i for i, one in enumerate(self.level) if one is level])
+
+    def only(self, kept: Sequence[int]) -> Rows:
+        """Some of them."""
+        return Rows(*([column[i] for i in kept] for column in self))
+
+    def beside(self, others: Rows) -> Rows:
+        """These, then others."""
+        return Rows(*([*own, *more] for own, more in zip(self, others, strict=True)))
+
+    def reduced(self, coordinates: Coordinates) -> Rows:
+        """The same with J by the velocities of what is integrated."""
+        return self._replace(J=[coordinates.reduced_row(row) for row in self.J])
+
+
+def rows_of(blocks: Sequence[RowBlock], k: Any, x: State) -> Rows:
+    """The rows of constraints, in their order.
+
+    Args:
+        x: State of all joints, in arrays of numbers.
+
+    Raises:
+        Untraceable: Names the constraint and why.
+    """
+    found = Rows([], [], [], [], [])
+    for block in blocks:
+        with tracing(block.part):
+            _add(found, block, k, x)
+    return found
+
+
+def _add(found: Rows, block: RowBlock, k: Any, x: State) -> None:
+    part, n = block.part, len(block.rows)
+    J, drift = part.accelerations(k, x)
+    g: Any = [0.0] * n if block.level is Level.VELOCITY else part.residual(k, x)
+    for row in np.asarray(J, dtype=object).reshape(n, -1):
+        entries = {j: ca.SX(plain(one)) for j, one in enumerate(row)}
+        found.J.append({j: one for j, one in entries.items() if not one.is_zero()})
+    for values, given in ((found.drift, drift), (found.g, g), (found.rate, part.rate(k, x))):
+        values.extend(ca.SX(plain(one)) for one in np.asarray(given, dtype=object).reshape(n))
+    found.level.extend([block.level] * n)
+
+
 def connected_groups(edges: Iterable[tuple[int, int]], size: int) -> list[list[int]]:
     """Numbers below a size that edges join."""
     group = list(range(size))
@@ -156,19 +254,3 @@ def largest(values: Sequence[Any]) -> Any:
     for value in values:
         found = ca.fmax(found, ca.fabs(value))
     return found
-
-
-class Solution(NamedTuple):
-    """What holds at a state.
-
-    Attributes:
-        a: Accelerations of what is integrated, SX scalars.
-        lam: Multipliers of the rows, SX scalars.
-        pivots: What rows leave of themselves: -(J M^-1 J') without those before, SX scalars.
-        sound: Positive where rows that may depend on one another are solved; no SX without any.
-    """
-
-    a: list[Any]
-    lam: list[Any]
-    pivots: list[Any]
-    sound: Any = None

@@ -11,9 +11,10 @@ from mbd_ros.compiled.symbols.constrained_motion import (
     SOFT,
     ConstrainedMotion,
     Pushes,
+    Rows,
     Solution,
+    rows_of,
 )
-from mbd_ros.compiled.symbols.rows import Rows, rows_of
 from mbd_ros.compiled.symbols.scalar import column, numbers, scalars
 from mbd_ros.compiled.symbols.symbolic_system import Made, SymbolicSystem
 from mbd_ros.compiled.symbols.tree.dynamics import LONG, TreeDynamics, choices
@@ -40,9 +41,6 @@ class Equations(SymbolicSystem):
         mode: Of unilateral rows; None for all modes at once, as `SwitchedRows` has them.
         made: Makes parts of symbols, by name.
         in_world: Whether velocities of free bodies stand in the axes of the world.
-
-    Attributes:
-        unilateral: Unilateral rows.
 
     Raises:
         Untraceable: Names the part and why.

@@ -220,12 +220,7 @@ def column(values: Iterable[Number]) -> Any:
 
 
 def function(casadi: Callable[..., Any], known: Callable[..., float]) -> Callable[..., Any]:
-    """A function of numbers that may be symbols.
-
-    Args:
-        casadi: For symbols.
-        known: For floats.
-    """
+    """A function of numbers that may be symbols."""
 
     def asked(*values: Any) -> Any:
         if any(isinstance(value, Scalar) for value in values):

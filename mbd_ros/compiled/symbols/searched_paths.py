@@ -15,7 +15,6 @@ class SearchedPath(NamedTuple):
     """A path that wraps.
 
     Attributes:
-        path: The path.
         symbols: Its length, its change with every point and with every surface, a column.
         places: Its points, then rotation row by row and origin of every surface, common axes.
     """

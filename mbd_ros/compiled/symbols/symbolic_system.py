@@ -153,12 +153,9 @@ class Coordinates:
         nq: Size of a configuration of all joints.
         nv: Size of a velocity of all joints.
         q: Configuration of what is integrated, an array of numbers.
-        v: Its velocity.
 
     Attributes:
         q: Of all joints, an array of objects.
-        v: The same.
-        drift: The same.
     """
 
     def __init__(self, couplings: Couplings | None, nq: int, nv: int, q: Any, v: Any) -> None:

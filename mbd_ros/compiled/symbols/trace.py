@@ -8,8 +8,8 @@ from typing import Any
 import casadi as ca
 
 from mbd_ros.compiled.symbols import implicit
+from mbd_ros.compiled.symbols.constrained_motion import Rows
 from mbd_ros.compiled.symbols.equations import Equations
-from mbd_ros.compiled.symbols.rows import Rows
 from mbd_ros.compiled.symbols.scalar import column, numbers, plain, scalars
 from mbd_ros.compiled.symbols.searched_paths import SearchedPaths
 from mbd_ros.compiled.symbols.symbolic_system import Made

@@ -18,8 +18,7 @@ from typing import Any, NamedTuple
 
 import casadi as ca
 
-from mbd_ros.compiled.symbols.constrained_motion import NO_PUSHES, largest
-from mbd_ros.compiled.symbols.rows import Rows, rows_of
+from mbd_ros.compiled.symbols.constrained_motion import NO_PUSHES, Rows, largest, rows_of
 from mbd_ros.compiled.symbols.scalar import plain
 from mbd_ros.compiled.symbols.symbolic_system import SymbolicSystem
 from mbd_ros.compiled.symbols.tree.link_rotations import ONE, ZERO
@@ -377,9 +376,7 @@ class Slip(NamedTuple):
     Attributes:
         is_on: 1 where it slips, else 0.
         is_fine: 1 where the direction is that of the name.
-        name: Two numbers.
         along: Velocity of its points along the plane.
-        size: Of that.
         slowest: Slip that counts as none.
     """
 

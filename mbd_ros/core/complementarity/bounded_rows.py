@@ -14,6 +14,8 @@ rows after them. `unilateral_impulses` solves for rows that only push.
 Source: P. Lötstedt, SIAM J. Appl. Math. 42 (1982), doi:10.1137/0142022.
 """
 
+from __future__ import annotations
+
 from collections.abc import Sequence
 from typing import Any
 
@@ -34,8 +36,11 @@ from mbd_ros.core.thresholds import (
 )
 from mbd_ros.errors import SolveError
 
-# ---- bounded rows -----------------------------------------------------------------------------
-# Rows between bounds: joint stops, dry friction, limited drives.
+_ROUNDING = 1.0e-14  # a rate that is none, of the velocity
+_CLOSED = 1.0e-12  # the same of rows among which impulses are shared
+_SAME = 1.0e-10  # by which the rates of dependent rows may differ and count as the same
+_GIVES = 1.0e-5  # root of how much rows give way that depend on one another and move apart
+_ROUNDS = 10  # of exchanges, per row
 
 
 class BoundedRows:
@@ -78,8 +83,6 @@ class BoundedRows:
 
         Args:
             motion: The `FreeMotion`, just evaluated at t, q, v.
-            q: Integrated configuration.
-            v: Integrated velocity.
             a: Acceleration without the rows.
 
         Raises:
@@ -106,7 +109,6 @@ class BoundedRows:
 
         Args:
             motion: As for `accelerate`.
-            q: Integrated configuration.
             x: State of all joints, with k refreshed.
             joint_a: Accelerations of all joints without the rows.
             lower: Smallest multipliers, shape (m,).
@@ -216,25 +218,15 @@ class BoundedImpulses:
         return p
 
 
-# ---- unilateral impulses ----------------------------------------------------------------------
-# Impulses of rows that only push, as a least-squares problem in the mass metric.
-#
-#     min 1/2 |c + G p|^2   subject to   p >= 0
-#
-# c is a velocity in that metric, G what impulses add to it, and G' (c + G p) are the rates of the
-# rows: at the least kinetic energy they are >= 0, and 0 where a row pushes. The columns may depend
-# on one another. Source: C. Lawson and R. Hanson, Solving Least Squares Problems, 1974, ch. 23.
-
-
-_ROUNDING = 1.0e-14  # a rate that is none, of the velocity
-_CLOSED = 1.0e-12  # the same of rows among which impulses are shared
-_SAME = 1.0e-10  # by which the rates of dependent rows may differ and count as the same
-_GIVES = 1.0e-5  # root of how much rows give way that depend on one another and move apart
-_ROUNDS = 10  # of exchanges, per row
-
-
 class PushImpulses:
-    """Solves the problem above for one configuration.
+    """Impulses of rows that only push, as a least-squares problem in the mass metric.
+
+        min 1/2 |c + G p|^2   subject to   p >= 0
+
+    c is a velocity in that metric, and G' (c + G p) are the rates of the rows: at the least
+    kinetic energy they are >= 0, and 0 where a row pushes. The columns of G may depend on one
+    another.
+    Source: C. Lawson, R. Hanson, Solving Least Squares Problems, 1974, ch. 23.
 
     Args:
         G: Velocities that impulses add, shape (nv, m).

@@ -216,8 +216,6 @@ class Seen(NamedTuple):
         slips: Contacts whose friction is the largest.
         pushes: Contacts with p_n - w_n above the least.
         x: First component of the direction of friction of every contact.
-        y: Second one.
-        radius: Largest friction.
         share: Radius over the length of p_t - w_t, at most 1.
     """
 

@@ -102,9 +102,7 @@ class _Slip(NamedTuple):
         s_1: Mobility of the first axis.
         s_2: Of the second one.
         c_1: Rates without friction.
-        c_2: The same.
         k_1: What friction changes of the normal p.
-        k_2: The same.
         ahead: The normal p without friction.
         mu: Coefficient of friction.
     """

@@ -101,8 +101,6 @@ class ExactRows:
         """Accelerations of what is integrated, with the rows of a mode.
 
         Args:
-            q: Integrated configuration.
-            v: Integrated velocity.
             a: Acceleration without the rows, of the last `accelerate` of the motion.
             mode: Begins with one entry a row; the state decides where it is empty.
             free: Rows whose mode is looked for: their multipliers may be all that the law allows.

@@ -88,7 +88,6 @@ class ContactsInMode:
 
         Args:
             motion: The `FreeMotion` without rows that give way.
-            q: Integrated configuration.
             x: State of all joints, with k refreshed.
             a: Accelerations of all joints without the rows.
             splits: Whether it matters how contacts that stick share their force.
@@ -252,7 +251,6 @@ class ExactContacts:
 
         Args:
             motion: The `FreeMotion` without rows that give way.
-            q: Integrated configuration.
             x: State of all joints, with k refreshed.
             a: Accelerations of all joints without the rows.
             bounds: Smallest and largest multipliers of all rows.

@@ -86,7 +86,6 @@ def chart_of(model: Any, velocities: Iterable[int]) -> Chart:
     """The chart of some coordinates of a model, whole joints, in the order of the model.
 
     Args:
-        model: Pinocchio model.
         velocities: Where these coordinates stand in v, ascending.
     """
     chosen, own = {int(v) for v in velocities}, pin.Model()

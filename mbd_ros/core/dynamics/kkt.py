@@ -32,12 +32,6 @@ class Kkt:
 
     A Cholesky factorisation solves it; redundant rows, and rows near a toggle, go through their
     eigenvalues instead.
-
-    Args:
-        mechanism: What moves.
-
-    Attributes:
-        coordinates: All joints.
     """
 
     tier = "kkt"

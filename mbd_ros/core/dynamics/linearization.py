@@ -130,7 +130,6 @@ class FreeDerivatives:
     """Derivatives of q'' and of the rates z' of a mechanism without rows.
 
     Args:
-        mechanism: What moves.
         chart: Steps of the configurations of all joints.
         internals: The internal states of its loads.
     """
@@ -250,7 +249,6 @@ class Balance:
 
         Args:
             q: Configuration of what is integrated.
-            v: Its velocity.
             u: Inputs, as for `System.evaluate`.
             a: Accelerations, shape (nv,).
             lam: Multipliers of the rows that are held.

@@ -17,14 +17,7 @@ from mbd_ros.core.state import NONE, Array, State
 
 
 class Aba:
-    """Acceleration from state and inputs by the articulated-body algorithm.
-
-    Args:
-        mechanism: What moves.
-
-    Attributes:
-        coordinates: All joints.
-    """
+    """Acceleration from state and inputs by the articulated-body algorithm."""
 
     tier = "aba"
 
@@ -67,14 +60,7 @@ class Aba:
 
 
 class Dense(Aba):
-    """Acceleration from state and inputs by a factorised mass matrix.
-
-    Args:
-        mechanism: What moves.
-
-    Attributes:
-        coordinates: All joints.
-    """
+    """Acceleration from state and inputs by a factorised mass matrix."""
 
     tier = "dense"
 

@@ -20,7 +20,6 @@ class Showing:
 
     Args:
         k: Kinematics, refreshed here where a part reads it.
-        layout: All rows.
         loads: Parts without rows.
 
     Attributes:

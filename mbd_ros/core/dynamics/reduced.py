@@ -30,9 +30,6 @@ _SAME = 1.0e-12  # of the largest entry: mass matrices that are the same
 class Reduced:
     """Accelerations of independent joints, from M and h of all joints.
 
-    Args:
-        mechanism: What moves.
-
     Attributes:
         coordinates: The independent joints.
     """
@@ -108,7 +105,6 @@ class Mimic:
     """Accelerations of independent joints, from M and h that Pinocchio makes for them at once.
 
     Args:
-        mechanism: What moves.
         model: What `mimic_model` makes of them.
 
     Attributes:

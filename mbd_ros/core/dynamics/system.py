@@ -46,7 +46,6 @@ class System(Protocol):
         model: Its Pinocchio model.
         loads: What acts on its joints.
         k: Kinematics at the state that was last asked for.
-        chart: Of y.
         nq: Size of the configuration of y.
         nv: Size of its velocity.
         internals: The internal states of its parts: z.
@@ -201,7 +200,6 @@ class FreeMotion(Protocol):
 
     Attributes:
         tier: Name of the way of solving.
-        mechanism: What moves.
         coordinates: What is integrated.
     """
 
@@ -239,18 +237,13 @@ class FreeMotion(Protocol):
 
         Args:
             y: State of the last `accelerate`.
-            u: As there.
             a: y'' with all rows.
             force: What rows that give way exert, shape (nv of the robot,); None without any.
         """
 
 
 class Coordinates(Protocol):
-    """What is integrated, called y, and all joints.
-
-    Attributes:
-        chart: Of y.
-    """
+    """What is integrated, called y, and all joints."""
 
     chart: Chart
 

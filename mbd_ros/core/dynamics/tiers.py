@@ -15,8 +15,7 @@ from mbd_ros.core.loads.loads import Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Constraint, Kind, Level
-from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock, RowLayout
-from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, CouplingRows, RowBlock, RowLayout
 from mbd_ros.core.rows.delassus import UsualSizes
 from mbd_ros.errors import ModelError
 

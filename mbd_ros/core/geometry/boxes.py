@@ -39,7 +39,6 @@ class BoxOnBox(Meeting):
     Args:
         pair: Centre of b, as the observer, and that of a.
         sides_a: Lengths of the edges of a [m], shape (3,).
-        sides_b: Of b.
     """
 
     why_not = "features of boxes come and go as they slide over edges"

@@ -160,7 +160,6 @@ class ContactPair:
     point, which both bodies are pushed at.
 
     Args:
-        met: Their features.
         margin: Distance at which surfaces count as touching [m].
         reach: Of the body that moves in the first of them, from its point there [m].
 
@@ -267,7 +266,6 @@ class Met(NamedTuple):
     """Some features of a pair.
 
     Attributes:
-        meeting: Their geometry.
         is_back: Whether it is b that moves in it.
     """
 

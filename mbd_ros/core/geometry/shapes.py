@@ -15,15 +15,96 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError
 
-# ---- polyhedron -------------------------------------------------------------------------------
-# Convex bodies with flat faces: vertices, faces and their planes.
-
-
 CORNERS = np.array(
     [[1.0 if i >> axis & 1 else -1.0 for axis in range(3)] for i in range(8)]
 )  # of a cube
 _FLAT = 1.0e-5  # of the size: what triangles of one face may differ; files hold six digits
 _SIDES = 24  # of the prism that stands for a cylinder
+
+
+class Sphere(NamedTuple):
+    """A ball about a point.
+
+    Attributes:
+        radius: [m], 0 for a point.
+    """
+
+    at: Point
+    radius: float
+
+
+class Points(NamedTuple):
+    """Points of a link.
+
+    Attributes:
+        at: Whose axes they stand in.
+        points: [m], shape (n, 3).
+    """
+
+    at: Point
+    points: Array
+
+
+class Box(NamedTuple):
+    """A box along the axes of a point.
+
+    Attributes:
+        sides: Lengths of its edges [m], shape (3,).
+    """
+
+    at: Point
+    sides: Array
+
+
+class Capsule(NamedTuple):
+    """All that is nearer to a line along z than a radius.
+
+    Attributes:
+        radius: [m].
+        length: Of the line [m], without the half spheres at its ends.
+    """
+
+    at: Point
+    radius: float
+    length: float
+
+
+class Cylinder(NamedTuple):
+    """A cylinder along z.
+
+    Attributes:
+        radius: [m].
+        length: [m].
+    """
+
+    at: Point
+    radius: float
+    length: float
+
+
+class HalfSpace(NamedTuple):
+    """All that is below the plane z = 0.
+
+    Attributes:
+        at: A point of the plane, z the outward normal.
+    """
+
+    at: Point
+
+
+class Mesh(NamedTuple):
+    """A convex body with flat faces.
+
+    Attributes:
+        at: In whose axes it stands.
+        body: Vertices and faces.
+    """
+
+    at: Point
+    body: Polyhedron
+
+
+Shape = Sphere | Points | Box | Capsule | Cylinder | HalfSpace | Mesh
 
 
 class Polyhedron(NamedTuple):
@@ -121,11 +202,6 @@ def _ordered(vertices: Array, on: NDArray[np.intp], normal: Array) -> NDArray[np
     return on[np.argsort(angle)]
 
 
-def box_of(sides: Array) -> Polyhedron:
-    """A box, centred."""
-    return hull_of(CORNERS * sides / 2.0, np.concatenate((np.eye(3), -np.eye(3))))
-
-
 def line_of(radius: float, length: float) -> Polyhedron:
     """A capsule along z: its line, and how far it is from the surface."""
     ends = np.zeros((2, 3))
@@ -144,121 +220,25 @@ def prism_of(radius: float, length: float) -> Polyhedron:
     return hull_of(np.concatenate(ends), np.concatenate((caps, sides)))
 
 
-# ---- shapes -----------------------------------------------------------------------------------
-# Shapes on links, which contacts are made of: as scenes name them, and as balls.
-
-
-class Sphere(NamedTuple):
-    """A ball about a point.
+class Balls(NamedTuple):
+    """Balls on one body.
 
     Attributes:
-        at: Its centre.
-        radius: [m], 0 for a point.
+        names: One a ball.
+        at: Middle of their centres, with axes that turn with the body.
+        centres: From there, in these axes [m], shape (n, 3).
+        radii: [m], shape (n,).
     """
 
+    names: tuple[str, ...]
     at: Point
-    radius: float
+    centres: Array
+    radii: Array
 
-
-class Points(NamedTuple):
-    """Points of a link.
-
-    Attributes:
-        at: Whose axes they stand in.
-        points: [m], shape (n, 3).
-    """
-
-    at: Point
-    points: Array
-
-
-class Box(NamedTuple):
-    """A box along the axes of a point.
-
-    Attributes:
-        at: Its centre.
-        sides: Lengths of its edges [m], shape (3,).
-    """
-
-    at: Point
-    sides: Array
-
-
-class Capsule(NamedTuple):
-    """All that is nearer to a line along z than a radius.
-
-    Attributes:
-        at: Its centre.
-        radius: [m].
-        length: Of the line [m], without the half spheres at its ends.
-    """
-
-    at: Point
-    radius: float
-    length: float
-
-
-class Cylinder(NamedTuple):
-    """A cylinder along z.
-
-    Attributes:
-        at: Its centre.
-        radius: [m].
-        length: [m].
-    """
-
-    at: Point
-    radius: float
-    length: float
-
-
-class HalfSpace(NamedTuple):
-    """All that is below the plane z = 0.
-
-    Attributes:
-        at: A point of the plane, z the outward normal.
-    """
-
-    at: Point
-
-
-class Mesh(NamedTuple):
-    """A convex body with flat faces.
-
-    Attributes:
-        at: In whose axes it stands.
-        body: Vertices and faces.
-    """
-
-    at: Point
-    body: Polyhedron
-
-
-Shape = Sphere | Points | Box | Capsule | Cylinder | HalfSpace | Mesh
-
-
-class Side(NamedTuple):
-    """What one of two bodies brings to a contact.
-
-    Attributes:
-        frame: The link, or another frame of it.
-        shapes: Its shapes.
-    """
-
-    frame: str
-    shapes: tuple[Shape, ...]
-
-
-class Between(NamedTuple):
-    """The two bodies of a contact.
-
-    Attributes:
-        a: The first one, on which multipliers push.
-        b: The other one, whose normal points out of it.
-    """
-
-    a: Side
-    b: Side
+    @property
+    def reach(self) -> float:
+        """How far their points are from `at` at most [m]."""
+        return float((np.linalg.norm(self.centres, axis=1) + self.radii).max())
 
 
 def balls_of(robot: Robot, side: Side, numbers: Sequence[int]) -> Balls:
@@ -284,6 +264,17 @@ def balls_of(robot: Robot, side: Side, numbers: Sequence[int]) -> Balls:
     return Balls(tuple(names), at, centres - middle, np.array(radii))
 
 
+class Side(NamedTuple):
+    """What one of two bodies brings to a contact.
+
+    Attributes:
+        frame: The link, or another frame of it.
+    """
+
+    frame: str
+    shapes: tuple[Shape, ...]
+
+
 def _parts(shape: Shape) -> tuple[list[str], Array, float]:
     """Names, centres in the axes of the shape and radius of its balls."""
     if isinstance(shape, Sphere):
@@ -307,22 +298,18 @@ def suffix(side: Side, number: int) -> str:
     return f"_of_{number}" if len(side.shapes) > 1 else ""
 
 
-class Balls(NamedTuple):
-    """Balls on one body.
+def box_of(sides: Array) -> Polyhedron:
+    """A box, centred."""
+    return hull_of(CORNERS * sides / 2.0, np.concatenate((np.eye(3), -np.eye(3))))
+
+
+class Between(NamedTuple):
+    """The two bodies of a contact.
 
     Attributes:
-        names: One a ball.
-        at: Middle of their centres, with axes that turn with the body.
-        centres: From there, in these axes [m], shape (n, 3).
-        radii: [m], shape (n,).
+        a: The first one, on which multipliers push.
+        b: The other one, whose normal points out of it.
     """
 
-    names: tuple[str, ...]
-    at: Point
-    centres: Array
-    radii: Array
-
-    @property
-    def reach(self) -> float:
-        """How far their points are from `at` at most [m]."""
-        return float((np.linalg.norm(self.centres, axis=1) + self.radii).max())
+    a: Side
+    b: Side

@@ -181,7 +181,6 @@ class Kinematics:
         """The row of the interval that x is in; at a break that of the interval after it.
 
         Args:
-            x: A number.
             breaks: Inner ends of the intervals, increasing, n - 1.
             rows: One an interval, n.
         """

@@ -9,6 +9,8 @@ Source: J. Solà et al., A micro Lie theory for state estimation in robotics, 20
 https://arxiv.org/abs/1812.01537, appendix B (rotation vectors).
 """
 
+from __future__ import annotations
+
 import math
 
 import numpy as np
@@ -16,10 +18,6 @@ import pinocchio as pin
 
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
-
-# ---- poses ------------------------------------------------------------------------------------
-# Poses and velocities of free bodies, and rotations as vectors.
-
 
 POSE, TWIST = 7, 6
 _TURN = 2.0 * math.pi
@@ -111,6 +109,28 @@ def rate_of(pose: Array, twist: Array) -> Array:
     return np.concatenate((linear, 0.5 * vector, 0.5 * scalar), axis=1)
 
 
+def step_between(before: Array, pose: Array) -> Array:
+    """The twist that leads from one pose to another in a unit of time, shape (6,).
+
+    Args:
+        before: Shape (7,).
+        pose: Shape (7,).
+    """
+    step: Array = pin.log6(pin.XYZQUATToSE3(before).actInv(pin.XYZQUATToSE3(pose))).vector
+    return step
+
+
+def quaternion_vector(quaternion: Array) -> Array:
+    """Rotation vector [rad] of a quaternion (x, y, z, w) of any length > 0, shape (3,)."""
+    x, y, z, w = (quaternion / np.linalg.norm(quaternion)).tolist()
+    return rotation_vector(pin.Quaternion(w, x, y, z).toRotationMatrix())
+
+
+def rotation_vector(R: Array) -> Array:
+    """Rotation vector [rad] of a rotation matrix, no longer than pi, shape (3,)."""
+    return np.asarray(pin.log3(R))
+
+
 def with_steady_signs(poses: Array) -> Array:
     """Poses in the order of time, each quaternion of the sign of the one before.
 
@@ -123,35 +143,6 @@ def with_steady_signs(poses: Array) -> Array:
     if (signs > 0.0).all():
         return poses
     return np.concatenate((poses[:, :3], q * signs[:, None]), axis=1)
-
-
-def with_sign_of(before: Array, pose: Array) -> Array:
-    """A pose whose quaternion has the sign of an earlier one, shape (7,)."""
-    if before[3:].dot(pose[3:]) < 0.0:
-        pose = pose.copy()
-        pose[3:] *= -1.0
-    return pose
-
-
-def step_between(before: Array, pose: Array) -> Array:
-    """The twist that leads from one pose to another in a unit of time, shape (6,).
-
-    Args:
-        before: Shape (7,).
-        pose: Shape (7,).
-    """
-    step: Array = pin.log6(pin.XYZQUATToSE3(before).actInv(pin.XYZQUATToSE3(pose))).vector
-    return step
-
-
-def rotation_vector(R: Array) -> Array:
-    """Rotation vector [rad] of a rotation matrix, no longer than pi, shape (3,)."""
-    return np.asarray(pin.log3(R))
-
-
-def rotation_vector_slope(R: Array) -> Array:
-    """Change of the rotation vector by a rotation of R in its own axes, shape (3, 3)."""
-    return np.asarray(pin.Jlog3(R))
 
 
 def nearest_rotation_vector(vector: Array, other: Array) -> Array:
@@ -169,23 +160,22 @@ def nearest_rotation_vector(vector: Array, other: Array) -> Array:
     return vector + turns * _TURN * axis
 
 
-def quaternion_vector(quaternion: Array) -> Array:
-    """Rotation vector [rad] of a quaternion (x, y, z, w) of any length > 0, shape (3,)."""
-    x, y, z, w = (quaternion / np.linalg.norm(quaternion)).tolist()
-    return rotation_vector(pin.Quaternion(w, x, y, z).toRotationMatrix())
+def with_sign_of(before: Array, pose: Array) -> Array:
+    """A pose whose quaternion has the sign of an earlier one, shape (7,)."""
+    if before[3:].dot(pose[3:]) < 0.0:
+        pose = pose.copy()
+        pose[3:] *= -1.0
+    return pose
+
+
+def rotation_vector_slope(R: Array) -> Array:
+    """Change of the rotation vector by a rotation of R in its own axes, shape (3, 3)."""
+    return np.asarray(pin.Jlog3(R))
 
 
 def vector_quaternion(vector: Array) -> Array:
     """Quaternion (x, y, z, w) of a rotation vector [rad], shape (4,)."""
     return np.array(pin.Quaternion(pin.exp3(vector)).coeffs())
-
-
-# ---- vectors ----------------------------------------------------------------------------------
-# Products of many vectors at once, whose components stand in the last axis.
-#
-# All functions broadcast and take complex numbers and symbols, too. They cost a fraction of
-# numpy's
-# own for the few vectors of a mechanism.
 
 
 def cross(a: Array, b: Array) -> Array:

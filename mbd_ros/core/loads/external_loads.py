@@ -113,7 +113,6 @@ class WrenchBuffer:
     Args:
         max_age: How long the newest sample stands for later times [ns].
         rewind: A stamp older than the last by more than this is a new beginning [ns].
-        length: Samples kept.
     """
 
     def __init__(self, max_age: int, rewind: int, length: int = 256) -> None:

@@ -100,7 +100,6 @@ class Pair(NamedTuple):
 
     Attributes:
         number: Of the pair.
-        a: The observer.
         b: What is observed.
         columns: 1 for the velocity coordinates that move b alone, -1 for those that move a alone,
             else 0, shape (nv,).

@@ -293,7 +293,6 @@ class Recipe(NamedTuple):
     """One robot or body of a scene, before it is read.
 
     Attributes:
-        text: URDF.
         source: File or topic of the text, for the messages.
         base: `fixed`, or `floating` for a root link that moves freely.
         locked: Joint -> position [rad or m] of joints to freeze and remove.
@@ -331,7 +330,6 @@ def child_link(model: Any, v: int) -> str:
     """Name of the link that a joint carries, whose axes are those of the joint.
 
     Args:
-        model: Pinocchio model.
         v: Index of the coordinate of the joint in a velocity.
     """
     joint = next(i for i, one in enumerate(model.joints) if i and one.idx_v == v)

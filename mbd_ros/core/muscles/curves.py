@@ -129,8 +129,6 @@ class Knot(NamedTuple):
     """Where two segments meet.
 
     Attributes:
-        x: Abscissa.
-        y: Value.
         slope: dy/dx.
     """
 

@@ -26,7 +26,6 @@ class MillardCurves:
         active: Force-length curve of active fibres.
         passive: Force-length curve of passive fibres.
         tendon: Force-length curve of the tendon.
-        velocity: Force-velocity curve.
         damping: Of the fibres, force per speed.
     """
 

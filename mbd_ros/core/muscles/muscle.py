@@ -265,8 +265,6 @@ class SmoothFirstOrder(NamedTuple):
     Attributes:
         rising: Time constant [s].
         falling: Time constant [s].
-        least: Least activation.
-        steepness: The b.
     """
 
     rising: Number

@@ -34,10 +34,6 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import SolveError
 
-# ---- contact step -----------------------------------------------------------------------------
-# Contacts with friction in a step of Moreau and Jean, with the other rows in one problem.
-
-
 _WORK = 1.0e-11  # of the kinetic energy: work of friction that is none
 _SLIGHT = 1.0e-4  # of what friction adds to a slip in a step: one that has ended before
 _DEPENDENT = 1.0e-12  # of the largest singular value: rows that depend on others
@@ -50,6 +46,10 @@ _DEPENDS = 1.0e-6  # of rates that no impulses make: what sliding tangents have 
 _SLIPS = 1.0e-12  # of the square of a slip: it neither ends in the step nor turns round
 _NO_ROOM = 1.0e-5  # of the rate of a gap: feet of a body, which rounding sets apart, share a load
 _SETS = 256  # of rows that are remembered
+_WAYS = 4.0  # of a step: gaps that may close in it, whatever other rows push
+_CURVED = 2.0  # longest way of joints that follow others, of what their velocity says
+_SCREENED_ROWS_OF_ONE = 3  # rows of one contact
+_SCREENED_SETS = 256  # of rows that are remembered
 
 
 class ContactSolver(UnilateralSolver):
@@ -304,6 +304,26 @@ class ContactSolver(UnilateralSolver):
         return self._sets[key]
 
 
+def _slips(problem: StepProblem, end: Array, tangents: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Slips at the start and at the end of a step [m/s], shape (n, 2) each."""
+    after = problem.J[tangents].dot(end) + problem.offset[tangents]
+    return problem.rate[tangents].reshape(-1, 2), after.reshape(-1, 2)
+
+
+def _dots(a: Array, b: Array) -> Array:
+    """Products of vectors, shape (n,)."""
+    return np.einsum("ij,ij->i", a, b)
+
+
+def is_independent(A: Array) -> bool:
+    """Whether the rows of one contact certainly do not depend on one another; no for more."""
+    if len(A) != _ROWS_OF_ONE:
+        return False
+    (n, x, y), (_, p, q), (_, _, r) = A.tolist()
+    volume = n * (p * r - q * q) - x * (x * r - q * y) + y * (x * q - p * y)
+    return bool(volume > _FLAT * n * p * r)
+
+
 class ContactSubproblem(NamedTuple):
     """One problem with contacts.
 
@@ -361,17 +381,6 @@ class ContactSubproblem(NamedTuple):
         return Residuals(float(np.abs(w[::3]).max()), 0.0, max(over, 0.0), slip)
 
 
-def _slips(problem: StepProblem, end: Array, tangents: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Slips at the start and at the end of a step [m/s], shape (n, 2) each."""
-    after = problem.J[tangents].dot(end) + problem.offset[tangents]
-    return problem.rate[tangents].reshape(-1, 2), after.reshape(-1, 2)
-
-
-def _dots(a: Array, b: Array) -> Array:
-    """Products of vectors, shape (n,)."""
-    return np.einsum("ij,ij->i", a, b)
-
-
 class ConsistentRates:
     """Rates that no impulses make, remembered while A is the same."""
 
@@ -401,35 +410,13 @@ class ConsistentRates:
         return late
 
 
-def is_independent(A: Array) -> bool:
-    """Whether the rows of one contact certainly do not depend on one another; no for more."""
-    if len(A) != _ROWS_OF_ONE:
-        return False
-    (n, x, y), (_, p, q), (_, _, r) = A.tolist()
-    volume = n * (p * r - q * q) - x * (x * r - q * y) + y * (x * q - p * y)
-    return bool(volume > _FLAT * n * p * r)
-
-
-# ---- contact screening ------------------------------------------------------------------------
-# Contact screening: contacts whose gaps a step may close, beside the other rows of the step.
-#
-# A contact that is farther away than its bodies can go in a few steps is not looked at. What is
-# known of its gap is reduced by the largest speed of the gap per speed of the joints, times the
-# way
-# that the joints have gone since; see `core/dynamics/gap_speed_bound`.
-
-
-_WAYS = 4.0  # of a step: gaps that may close in it, whatever other rows push
-_CURVED = 2.0  # longest way of joints that follow others, of what their velocity says
-_CONTACT_SCREENING_ROWS_OF_ONE = 3  # rows of one contact
-_CONTACT_SCREENING_SETS = 256  # of rows that are remembered
-
-
 class ContactScreening(StepRows):
     """Rows that give way; features of contacts only where a step may close their gaps.
 
-    Contacts that are farther away than bodies can go are not looked at. What is remembered of
-    them saves time and changes no result.
+    A contact that is farther away than its bodies can go in a few steps is not looked at. What is
+    known of its gap is reduced by the largest speed of the gap per speed of the joints, times the
+    way that the joints have gone since (`core/dynamics/gap_speed_bound`). That saves time and
+    changes no result.
 
     Args:
         is_whole: Whether all joints are integrated; others may curve on their way.
@@ -516,7 +503,7 @@ class ContactScreening(StepRows):
 
     def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
         """As of all rows; that of the last step where nothing has turned since."""
-        if len(J) <= _CONTACT_SCREENING_ROWS_OF_ONE or not held.is_free:
+        if len(J) <= _SCREENED_ROWS_OF_ONE or not held.is_free:
             return held.of(J)
         key = K.tobytes(), J.tobytes()
         if self._responded is None or key != self._responded[:2]:
@@ -567,7 +554,7 @@ class ContactScreening(StepRows):
         """The rows that stand there; of a contact all or none."""
         key = at.tobytes()
         if key not in self._sets:
-            if len(self._sets) >= _CONTACT_SCREENING_SETS:
+            if len(self._sets) >= _SCREENED_SETS:
                 self._sets.clear()
             self._sets[key] = self.every.chosen(at)
         return self._sets[key]
@@ -578,7 +565,7 @@ def _rounded(J: Array) -> Array:
 
     What rounding leaves of entries that are 0 differs from step to step, also of bodies at rest.
     """
-    if len(J) <= _CONTACT_SCREENING_ROWS_OF_ONE:
+    if len(J) <= _SCREENED_ROWS_OF_ONE:
         return J
     large = np.ldexp(1.0, np.frexp(np.abs(J).max(axis=0))[1])
     rounded: Array = (J + large) - large

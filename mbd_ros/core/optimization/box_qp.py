@@ -29,10 +29,6 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import FIXED_BY_OTHERS, NEARLY_SINGULAR, TINY, redundant
 from mbd_ros.errors import SolveError
 
-# ---- box qp -----------------------------------------------------------------------------------
-# Quadratic programs in a box, by active sets.
-
-
 Sides = NDArray[np.int8]  # 1 at a lower limit, -1 at an upper one, 0 between them
 _SOLVED = 1.0e-9  # `complementarity_residual` that is accepted
 _POLISHED = 1.0e-12  # the same, below which a further step gains nothing
@@ -42,6 +38,8 @@ _NOTHING = 1.0e-12  # terms of that size are none
 _DWARFS = 1.0e5
 _EXCHANGES = 6
 _EXACT = 1.0e-11  # complementarity residual of the right active set, relative
+_EXCHANGES_OF_MANY = 12
+_SOFT = 1.0e-13  # of the largest entry: what keeps dependent rows solvable
 
 
 class BoxQp:
@@ -128,29 +126,6 @@ def _polished(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> Arr
     return best
 
 
-def factored(A: Array, r: Array) -> Array:
-    """The x with A x = r; where A is singular, what its factor leaves, for the caller to judge."""
-    return eigenpy.LDLT(A).solve(r).reshape(r.shape)  # eigenpy flattens one column
-
-
-def on_active_set(
-    A: Array,
-    b: Array,
-    bound: Array,
-    free: NDArray[np.bool_],
-    solve: Callable[[Array, Array], Array] = factored,
-) -> Array:
-    """The x of the equations above, shape (n,)."""
-    rows = free.nonzero()[0]
-    if len(rows) == len(b):
-        return -solve(A, b)
-    x = np.where(free, 0.0, bound)
-    if len(rows):
-        A_rows = A[rows]
-        x[rows] = -solve(A_rows[:, rows], A_rows.dot(x) + b[rows])
-    return x
-
-
 def least_norm(A: Array, r: Array) -> Array:
     """The x of smallest norm with A x nearest to r."""
     return np.asarray(np.linalg.lstsq(A, r, rcond=redundant(len(A)))[0], dtype=np.float64)
@@ -172,20 +147,9 @@ def _descended(
     return np.minimum(np.maximum(lam + step * way, lower), upper) if step < np.inf else lam
 
 
-def complementarity_residual(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> float:
-    """Largest violation of the optimality conditions, relative to the terms in A lam + b.
-
-    It is the natural residual: how far a gradient step, kept in the bounds, moves. Multipliers
-    whose terms dwarf b come from a singular factor, and do not excuse what they leave.
-    """
-    given = np.abs(b)
-    terms = np.abs(A).dot(np.abs(lam))
-    size = np.minimum(terms, _DWARFS * given.max(initial=0.0)) + given + _NOTHING
-    diagonal = np.maximum(A.diagonal(), TINY)
-    step = (A.dot(lam) + b) / diagonal  # kept apart from lam, which might swallow it
-    moved = np.minimum(np.maximum(step, lam - upper), lam - lower) * diagonal
-    worst = float((np.abs(moved) / size).max())
-    return worst if worst < np.inf else np.inf
+def factored(A: Array, r: Array) -> Array:
+    """The x with A x = r; where A is singular, what its factor leaves, for the caller to judge."""
+    return eigenpy.LDLT(A).solve(r).reshape(r.shape)  # eigenpy flattens one column
 
 
 def exchanged(
@@ -235,10 +199,38 @@ class Statistics(NamedTuple):
     failed: int = 0
 
 
-def passed(values: Array, lower: Array, upper: Array, slack: float = 0.0) -> Sides:
-    """The limits that values pass by more than a slack; a negative slack tells who is near."""
-    below, above = values < lower - slack, values > upper + slack
-    return below.astype(np.int8) - (above & ~below)
+def complementarity_residual(A: Array, b: Array, lower: Array, upper: Array, lam: Array) -> float:
+    """Largest violation of the optimality conditions, relative to the terms in A lam + b.
+
+    It is the natural residual: how far a gradient step, kept in the bounds, moves. Multipliers
+    whose terms dwarf b come from a singular factor, and do not excuse what they leave.
+    """
+    given = np.abs(b)
+    terms = np.abs(A).dot(np.abs(lam))
+    size = np.minimum(terms, _DWARFS * given.max(initial=0.0)) + given + _NOTHING
+    diagonal = np.maximum(A.diagonal(), TINY)
+    step = (A.dot(lam) + b) / diagonal  # kept apart from lam, which might swallow it
+    moved = np.minimum(np.maximum(step, lam - upper), lam - lower) * diagonal
+    worst = float((np.abs(moved) / size).max())
+    return worst if worst < np.inf else np.inf
+
+
+def on_active_set(
+    A: Array,
+    b: Array,
+    bound: Array,
+    free: NDArray[np.bool_],
+    solve: Callable[[Array, Array], Array] = factored,
+) -> Array:
+    """The x of the equations above, shape (n,)."""
+    rows = free.nonzero()[0]
+    if len(rows) == len(b):
+        return -solve(A, b)
+    x = np.where(free, 0.0, bound)
+    if len(rows):
+        A_rows = A[rows]
+        x[rows] = -solve(A_rows[:, rows], A_rows.dot(x) + b[rows])
+    return x
 
 
 def on_independent(rows: Array, bound: Array) -> tuple[Array, Array] | None:
@@ -266,24 +258,16 @@ def pseudo_inverse(rows: Array) -> Array:
     return factor.pseudoInverse().reshape(rows.shape[::-1])
 
 
-# ---- batch box qp -----------------------------------------------------------------------------
-# Many small quadratic programs at once: moves in boxes, with rows that are kept.
-#
-#     min 1/2 p' H p + g' p   subject to   low <= p <= high,   A p = b
-#
-# There is one problem a frame. Bounds are exchanged all at once, as a primal-dual active set does.
-# Where that does not settle, the last move is cut to the box: the caller judges a move by what it
-# gains. Source: M. Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002).
-
-
-_BATCH_BOX_QP_EXCHANGES = 12
-_SOFT = 1.0e-13  # of the largest entry: what keeps dependent rows solvable
-
-
 def box_moves(
     H: Array, g: Array, low: Array, high: Array, A: Array | None = None, b: Array | None = None
 ) -> Moves:
-    """Solve them.
+    """Solve many small quadratic programs at once: moves in boxes, with rows that are kept.
+
+        min 1/2 p' H p + g' p   subject to   low <= p <= high,   A p = b
+
+    Bounds are exchanged all at once, as a primal-dual active set does. Where that does not settle,
+    the last move is cut to the box: the caller judges a move by what it gains. Source: M.
+    Hintermüller, K. Ito, K. Kunisch, SIAM J. Optim. 13 (2002).
 
     Args:
         H: Regular matrices, shape (N, n, n).
@@ -294,7 +278,7 @@ def box_moves(
         b: What they ask for, shape (N, m).
     """
     at_low, at_high = (np.zeros(g.shape, dtype=np.bool_) for _ in range(2))
-    for _ in range(_BATCH_BOX_QP_EXCHANGES):
+    for _ in range(_EXCHANGES_OF_MANY):
         p, nu = _solved(H, g, np.where(at_low, low, high), at_low | at_high, A, b)
         force = (H @ p[:, :, None])[:, :, 0] + g
         if A is not None:
@@ -348,3 +332,9 @@ class Moves(NamedTuple):
     p: Array
     nu: Array
     force: Array
+
+
+def passed(values: Array, lower: Array, upper: Array, slack: float = 0.0) -> Sides:
+    """The limits that values pass by more than a slack; a negative slack tells who is near."""
+    below, above = values < lower - slack, values > upper + slack
+    return below.astype(np.int8) - (above & ~below)

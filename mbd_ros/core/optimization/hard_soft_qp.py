@@ -25,10 +25,6 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CLOSED_GAP, FIXED_BY_OTHERS, TINY
 from mbd_ros.errors import SolveError
 
-# ---- hard soft qp -----------------------------------------------------------------------------
-# The smallest vector within hard and soft limits; soft ones give way where not all can be kept.
-
-
 _NO_EXCESS = 1.0e-10  # of the largest gap
 _COMPLIANCE = 1.0e-6  # of a soft row of length one
 _ACTS = 1.0e-7  # multiplier of a limit that acts; the largest gap is 1
@@ -37,6 +33,9 @@ _CHANGES = 4  # of the acting limits on one rung
 COMPLIANCES = (1.0e-2, 1.0e-5, 1.0e-8, 1.0e-11)
 _EVENTS = 60  # for each compliance
 _PULLS = 1.0e-9  # of the largest slope: one with which a bound holds nothing
+_EXCHANGES = 30
+_KEPT = 1.0e-10  # what a row may be beyond its bound, of its size
+_PUSHES = 1.0e-12  # multipliers of that size are none, of the largest
 
 
 class HardSoftQp:
@@ -51,9 +50,6 @@ class HardSoftQp:
     Args:
         n: Size of y, and number of hard rows.
         soft: Number of soft rows.
-
-    Attributes:
-        counts: So far.
 
     Raises:
         ModelError: proxsuite is not installed.
@@ -154,6 +150,28 @@ class HardSoftQp:
         return Candidate(y, side, is_softened, False)
 
 
+class Counts(NamedTuple):
+    """How the solves of a `HardSoftQp` went.
+
+    Attributes:
+        solves: Problems in all.
+        softened: Those whose soft rows cannot all be kept.
+        qp: Those that reached ProxQP.
+        cold: Those that needed a restart from nothing.
+        boxed: Those that ProxQP did not solve.
+        damped: Those that end with soft rows that yield a little more than they must.
+        failed: Those without an answer.
+    """
+
+    solves: int = 0
+    softened: int = 0
+    qp: int = 0
+    cold: int = 0
+    boxed: int = 0
+    damped: int = 0
+    failed: int = 0
+
+
 def candidate(
     G: Array, lower: Array, upper: Array, side: Sides, hard: int, size: float
 ) -> Candidate:
@@ -162,7 +180,6 @@ def candidate(
     Args:
         G: Rows of length one, the hard ones first, shape (m, n).
         lower: Shape (m,).
-        upper: Same.
         side: Limits that act, shape (m,).
         hard: Number of hard rows.
         size: The largest gap at y = 0.
@@ -213,6 +230,17 @@ def _on_dependent(rows: Array, bound: Array, hard: int, size: float) -> tuple[Ar
     return y, force, bool(excess.any())
 
 
+def _boxed(G: Array, lower: Array, upper: Array, size: float) -> tuple[Array, Sides, bool]:
+    """The y where stiff soft rows yield, its limits, and whether it passes one; hard rows hold."""
+    n = G.shape[1]
+    E: Any = np.linalg.inv(G[:n])
+    rows = BoundedLeastSquares(E, G[n:].dot(E), lower[n:], upper[n:])
+    y = E.dot(rows.solve(lower[:n], upper[:n]))
+    reached, slack = G.dot(y), _AT_LIMIT * size
+    is_softened = bool(passed(reached, lower, upper, slack).any())
+    return y, passed(reached, lower, upper, -slack), is_softened
+
+
 class Candidate(NamedTuple):
     """What follows from the limits that are said to act.
 
@@ -228,17 +256,6 @@ class Candidate(NamedTuple):
     side: Sides
     is_softened: bool
     is_optimal: bool
-
-
-def _boxed(G: Array, lower: Array, upper: Array, size: float) -> tuple[Array, Sides, bool]:
-    """The y where stiff soft rows yield, its limits, and whether it passes one; hard rows hold."""
-    n = G.shape[1]
-    E: Any = np.linalg.inv(G[:n])
-    rows = BoundedLeastSquares(E, G[n:].dot(E), lower[n:], upper[n:])
-    y = E.dot(rows.solve(lower[:n], upper[:n]))
-    reached, slack = G.dot(y), _AT_LIMIT * size
-    is_softened = bool(passed(reached, lower, upper, slack).any())
-    return y, passed(reached, lower, upper, -slack), is_softened
 
 
 class BoundedLeastSquares:
@@ -323,47 +340,16 @@ def _way(x: Array, step: Array, begin: Array, end: Array) -> Array:
     return np.maximum(share, 0.0)
 
 
-class Counts(NamedTuple):
-    """How the solves of a `HardSoftQp` went.
-
-    Attributes:
-        solves: Problems in all.
-        softened: Those whose soft rows cannot all be kept.
-        qp: Those that reached ProxQP.
-        cold: Those that needed a restart from nothing.
-        boxed: Those that ProxQP did not solve.
-        damped: Those that end with soft rows that yield a little more than they must.
-        failed: Those without an answer.
-    """
-
-    solves: int = 0
-    softened: int = 0
-    qp: int = 0
-    cold: int = 0
-    boxed: int = 0
-    damped: int = 0
-    failed: int = 0
-
-
-# ---- row bounded qp ---------------------------------------------------------------------------
-# A strictly convex quadratic program with bounded rows, exact on the rows that act.
-#
-#     min 1/2 x' H x + g' x   subject to   lower <= C x <= upper
-#
-# Most answers of an estimator violate no row, and are then one solve. Otherwise a kept ProxQP
-# finds
-# the rows that act; an answer is solved for on them, and rows are exchanged until the conditions
-# of
-# the optimum hold. Source: J. Nocedal, S. Wright, Numerical Optimization, 2006, ch. 16.
-
-
-_EXCHANGES = 30
-_KEPT = 1.0e-10  # what a row may be beyond its bound, of its size
-_PUSHES = 1.0e-12  # multipliers of that size are none, of the largest
-
-
 class RowBoundedQp:
-    """Solves the problem above, for rows and sizes that change from call to call."""
+    """A strictly convex quadratic program with bounded rows, exact on the active rows.
+
+        min 1/2 x' H x + g' x   subject to   lower <= C x <= upper
+
+    Rows and sizes may change from call to call. Most answers of an estimator violate no row, and
+    are then one solve. Otherwise a kept ProxQP finds the active rows; an answer is solved for on
+    them, and rows are exchanged until the conditions of the optimum hold. Source: J. Nocedal, S.
+    Wright, Numerical Optimization, 2006, ch. 16.
+    """
 
     def __init__(self) -> None:
         self._solver: KeptProxQp | None = None

@@ -40,10 +40,6 @@ from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CONTRADICTION, SINGULAR, redundant
 from mbd_ros.errors import SolveError
 
-# ---- least norm -------------------------------------------------------------------------------
-# The smallest vector of an affine set that keeps bounds and friction cones.
-
-
 _LATER = 1.0e-3  # price of a move of later groups, which is paid for the last step alone
 _STEPS = 20
 _ARRIVED = 1.0e-12  # of the size of z
@@ -147,7 +143,6 @@ def least_in_cones(y: Array, N: Array, A: Array, c: Array, limits: Limits) -> tu
         N: Directions, orthonormal, shape (n, k).
         A: Shape (m, n).
         c: Shape (m,).
-        limits: Of y.
 
     Returns:
         The vector, and whether it keeps the limits.
@@ -177,7 +172,6 @@ class _Barrier:
 
     Args:
         y: y0, of size one.
-        N: Directions.
         limits: Of y times `size`.
         size: Unit of y.
     """
@@ -360,16 +354,11 @@ class Limits(NamedTuple):
         return passed
 
 
-# ---- redundant equations ----------------------------------------------------------------------
-# Equations of rows that may depend on one another: A x + b = 0.
-#
-# A is the mobility of the rows, not symmetric where contacts slip. Source of the pseudo-inverse:
-# G. H. Golub, C. F. Van Loan, Matrix Computations, 2013, sec. 5.5.
-
-
 def balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
-    """An x with A x + b = 0, and whether there are others.
+    """An x with A x + b = 0 for rows that may depend on one another, and whether there are others.
 
+    A is the mobility of the rows, not symmetric where contacts slip. Source of the pseudo-inverse:
+    G. H. Golub, C. F. Van Loan, Matrix Computations, 2013, sec. 5.5.
     It is NaN where A is not finite: of a state that diverges, which its simulation reports.
 
     Args:
@@ -393,6 +382,12 @@ def balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
     return -unit * found, factor.rank() < n
 
 
+def _check(A: Array, x: Array, b: Array) -> None:
+    left = np.abs(A.dot(x) - b).max()
+    if left > 0.0 and left > CONTRADICTION * (np.abs(A).dot(np.abs(x)) + np.abs(b)).max():
+        raise SolveError("rows of a contact and those beside it contradict one another")
+
+
 def least_balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
     """The smallest x with A x + b = 0, and whether there are others; as `balanced`."""
     scaled, right = unit[:, None] * A * unit, unit * b
@@ -412,9 +407,3 @@ def least_balanced(A: Array, b: Array, unit: Array) -> tuple[Array, bool]:
         same = np.linalg.qr((null * unit).T)[0]
         found -= same.dot(same.T.dot(found))
     return found, len(null) > 0
-
-
-def _check(A: Array, x: Array, b: Array) -> None:
-    left = np.abs(A.dot(x) - b).max()
-    if left > 0.0 and left > CONTRADICTION * (np.abs(A).dot(np.abs(x)) + np.abs(b)).max():
-        raise SolveError("rows of a contact and those beside it contradict one another")

@@ -54,7 +54,6 @@ class KeptProxQp:
             H: Shape (n, n).
             g: Shape (n,).
             lower: Shape (n,), infinite without a bound.
-            upper: Same.
             rows: C, low and high.
             cold: Whether to start from nothing instead of the previous result.
         """

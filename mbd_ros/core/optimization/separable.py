@@ -301,7 +301,6 @@ def refined(problem: Problem, x: Array, lam: Array, most: int) -> Found:
     Args:
         x: Start, shape (n,).
         lam: Start, shape (m,).
-        most: Steps.
     """
     cost, A, b, lower, upper = problem
     if cost.exponent == 1.0 and not (cost.stiffness > 0.0).all():

@@ -76,7 +76,6 @@ def box(lower: Bound, upper: Bound) -> Law:
     Args:
         lower: One number, one a row, or a function (k, x); a part that gives one says in `reads`
             what it reads.
-        upper: The same.
     """
     return Law(Kind.BOX, lower, upper)
 
@@ -123,7 +122,6 @@ class Stop(NamedTuple):
     """Ends that a constraint keeps a joint within.
 
     Attributes:
-        joint: The joint.
         lower: Lower end [rad or m], -inf without one.
         upper: Upper end [rad or m], inf without one.
     """

@@ -11,12 +11,16 @@ import numpy as np
 
 from mbd_ros.core.contracts import Wrench, label
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
+from mbd_ros.core.model.coupling_functions import Linear
+from mbd_ros.core.model.couplings import Couplings
+from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Constraint, Kind, Law, Level, Row
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import ModelError, SolveError
 
 Residual = Callable[[Kinematics, State], Array]
+_Numbers = Kinematics | type[Kinematics]  # nothing moves, so its kind of numbers is all
 
 
 class ConstraintRows:
@@ -29,7 +33,6 @@ class ConstraintRows:
 
     Attributes:
         cones: Contacts with friction among these rows, their slots counted here.
-        parts: Their constraints.
         rows: One entry a row.
         slots: Where their multipliers stand among those of the scene, shape (m,).
         slices: Where the rows of each block stand here.
@@ -188,23 +191,6 @@ class RowLayout:
         return tuple(block for block in self.blocks if block.law.kind in kinds)
 
 
-def labelled(parts: Sequence[Constraint]) -> tuple[Row, ...]:
-    """All rows, as columns and messages call them: `<part>.<row>`, numbered where that repeats."""
-    rows = [row._replace(name=label(part, row.name)) for part in parts for row in part.rows]
-    return numbered(rows)
-
-
-def numbered(rows: Sequence[Row]) -> tuple[Row, ...]:
-    """The rows; equal names get a number: bar, bar#2, bar#3."""
-    seen: Counter[str] = Counter()
-    told_apart = []
-    for row in rows:
-        seen[row.name] += 1
-        count = seen[row.name]
-        told_apart.append(row if count == 1 else row._replace(name=f"{row.name}#{count}"))
-    return tuple(told_apart)
-
-
 def _block(part: Constraint, rows: tuple[Row, ...], slots: slice) -> RowBlock:
     where = f"constraint {type(part).__name__}"
     if rows:
@@ -248,7 +234,6 @@ class RowBlock(NamedTuple):
     """The rows of one constraint, as solvers see them.
 
     Attributes:
-        part: The constraint.
         rows: One entry a row, of a name that no other row has.
         slots: Where their multipliers stand among those of the scene, in every mode.
         level: Whether they state positions or velocities.
@@ -309,9 +294,21 @@ class Cone(NamedTuple):
     e: float
 
 
-def rigid(parts: Sequence[Constraint]) -> list[Constraint]:
-    """Constraints that hold whatever multipliers that takes: without stops and dry friction."""
-    return [part for part in parts if part.law.is_rigid]
+def labelled(parts: Sequence[Constraint]) -> tuple[Row, ...]:
+    """All rows, as columns and messages call them: `<part>.<row>`, numbered where that repeats."""
+    rows = [row._replace(name=label(part, row.name)) for part in parts for row in part.rows]
+    return numbered(rows)
+
+
+def numbered(rows: Sequence[Row]) -> tuple[Row, ...]:
+    """The rows; equal names get a number: bar, bar#2, bar#3."""
+    seen: Counter[str] = Counter()
+    told_apart = []
+    for row in rows:
+        seen[row.name] += 1
+        count = seen[row.name]
+        told_apart.append(row if count == 1 else row._replace(name=f"{row.name}#{count}"))
+    return tuple(told_apart)
 
 
 def independent(J: Array) -> list[int]:
@@ -325,3 +322,61 @@ def independent(J: Array) -> list[int]:
             kept.append(number)
             basis = np.vstack((basis, left / size))
     return kept
+
+
+class CouplingRows(Constraint):
+    """Every coupling of a scene as a row; its multiplier pushes the dependent joint.
+
+    Args:
+        couplings: Its dependent joints, in the order of the rows.
+
+    Attributes:
+        pairs: The couplings in indices, parents before children.
+    """
+
+    def __init__(self, robot: Robot, couplings: Couplings) -> None:
+        self.pairs = couplings.pairs
+        self.name = ""  # its multipliers go by the dependent joints
+        tied = [robot.joint(name) for name in couplings.dependent]
+        self.rows = tuple(Row(f"{one.name}.multiplier", one.effort_unit) for one in tied)
+        self._nv = int(robot.model.nv)
+        self._constant: tuple[Array, Array] | None = None
+        if all(isinstance(pair.function, Linear) for pair in couplings.pairs):
+            rest = State(0.0, robot.neutral(), np.zeros(self._nv))
+            self._constant = self._jacobian(Kinematics, rest), self._drift(Kinematics, rest)
+
+    def accelerations(self, k: Kinematics, x: State) -> tuple[Array, Array]:
+        """Both `jacobian` and `drift`, which do not change where all functions are linear."""
+        return self._constant or (self._jacobian(k, x), self._drift(k, x))
+
+    def residual(self, k: Kinematics, x: State) -> Array:
+        """q_d - f(q_p), shape (m,)."""
+        q = x.q.tolist()
+        return k.array([q[i.child_q] - i.function(q[i.parent_q])[0] for i in self.pairs])
+
+    def jacobian(self, k: Kinematics, x: State) -> Array:
+        """1 at the dependent joint, -f' at its parent, shape (m, nv)."""
+        return self._jacobian(k, x)
+
+    def drift(self, k: Kinematics, x: State) -> Array:
+        """-f'' v_p^2, shape (m,)."""
+        return self._drift(k, x)
+
+    def _jacobian(self, k: _Numbers, x: State) -> Array:
+        shape: Any = len(self.pairs), self._nv
+        J = k.zeros(shape)
+        for row, i in enumerate(self.pairs):
+            J[row, i.child_v] = 1.0
+            J[row, i.parent_v] = -i.function(k.item(x.q, i.parent_q))[1]
+        return J
+
+    def _drift(self, k: _Numbers, x: State) -> Array:
+        q, v = x.q.tolist(), x.v.tolist()  # floats: their squares by ** would not overflow to inf
+        return k.array(
+            [-i.function(q[i.parent_q])[2] * v[i.parent_v] * v[i.parent_v] for i in self.pairs]
+        )
+
+
+def rigid(parts: Sequence[Constraint]) -> list[Constraint]:
+    """Constraints that hold whatever multipliers that takes: without stops and dry friction."""
+    return [part for part in parts if part.law.is_rigid]

@@ -26,10 +26,6 @@ from mbd_ros.core.state import Array, State, is_symbol
 from mbd_ros.core.thresholds import ROUNDED_ROW
 from mbd_ros.errors import ModelError
 
-# ---- frame rows -------------------------------------------------------------------------------
-# Rows that hold a frame on one body to a frame on another.
-
-
 _OPPOSITE = 1.0e-9  # 1 + cos(theta) below which two axes count as opposite
 DIRECTIONS: dict[str, Any] = {
     "x": slice(0, 1),
@@ -130,25 +126,6 @@ class PairRows(Constraint):
             slope = self._rotation.slope(k.motion(self._pair).rotation())
             torque = axes.dot(slope.T.dot(lam[self._count :]))
         return Wrench(a.frame, point, -force, -torque), Wrench(b.frame, point, force, torque)
-
-
-class RotationResidual(Protocol):
-    """g(R) with g' = slope omega and g'' = slope alpha + drift.
-
-    Attributes:
-        names: Axis about which the multiplier of every row turns, in the axes of a.
-    """
-
-    names: tuple[str, ...]
-
-    def residual(self, R: Array) -> Array:
-        """The remaining turn, g [rad], shape (m,)."""
-
-    def slope(self, R: Array) -> Array:
-        """From omega to g', shape (m, 3)."""
-
-    def drift(self, R: Array, omega: Array, alpha: Array) -> Array:
-        """Second derivative g'' at these angular velocities and accelerations, shape (m,)."""
 
 
 class FullRotation:
@@ -287,6 +264,25 @@ class AxisRotation:
         return np.array((third, second))
 
 
+class RotationResidual(Protocol):
+    """g(R) with g' = slope omega and g'' = slope alpha + drift.
+
+    Attributes:
+        names: Axis about which the multiplier of every row turns, in the axes of a.
+    """
+
+    names: tuple[str, ...]
+
+    def residual(self, R: Array) -> Array:
+        """The remaining turn, g [rad], shape (m,)."""
+
+    def slope(self, R: Array) -> Array:
+        """From omega to g', shape (m, 3)."""
+
+    def drift(self, R: Array, omega: Array, alpha: Array) -> Array:
+        """Second derivative g'' at these angular velocities and accelerations, shape (m,)."""
+
+
 def plane_of(robot: Robot, point: Point, normal: Sequence[float]) -> Point:
     """The point of a plane, with z along a normal that stands in its axes."""
     along = np.array(normal, dtype=np.float64)
@@ -302,16 +298,6 @@ def _turned(normal: Array) -> Array:
     a, b, c = normal.tolist()
     across = np.array(((0.0, -c, b), (c, 0.0, -a), (-b, a, 0.0)))
     return np.column_stack((x, across.dot(x), normal))
-
-
-def check_normal(normal: Sequence[float]) -> None:
-    """Refuse a normal that points nowhere."""
-    if not any(normal):
-        raise ModelError(f"normal {normal} must have a direction")
-
-
-# ---- held contact -----------------------------------------------------------------------------
-# A contact that is held closed: it neither opens nor slips.
 
 
 class HeldContact(Constraint):
@@ -374,3 +360,9 @@ def _moved(robot: Robot, contact: Any) -> Array:
         rows = np.abs(contact.jacobian(k, State(0.0, q, still)))
         largest = np.maximum(largest, rows.max(axis=1, initial=0.0))
     return np.where(largest > ROUNDED_ROW, largest, 0.0)
+
+
+def check_normal(normal: Sequence[float]) -> None:
+    """Refuse a normal that points nowhere."""
+    if not any(normal):
+        raise ModelError(f"normal {normal} must have a direction")

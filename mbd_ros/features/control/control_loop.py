@@ -35,7 +35,6 @@ class ControlLoop:
 
     Args:
         controller: The control law; may be replaced between updates by one for the same joints.
-        guard: Limits.
         safe: The safe command, which acts while the control is not trusted.
         ramp: Duration of a hand-over [s], >= 0.
         longest: A longer time between states is a gap, and counts as no more than that [s].

@@ -9,9 +9,9 @@ from mbd_ros.core.state import NANOSECOND
 from mbd_ros.errors import DataError
 from mbd_ros.features.control.regulator import Tolerated, check_scene, recorded, regulated
 from mbd_ros.features.control.tracking_tube import tube_level
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.plan import PLAN, plan_table, plan_words
 from mbd_ros.files.table import MAIN, Result, Table, time_columns
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.control.tracking_plan import TrackingPlan

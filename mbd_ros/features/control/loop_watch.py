@@ -54,7 +54,6 @@ class LoopWatch:
     last return doubles the wait, up to a minute. `reset` ends it at once.
 
     Args:
-        names: Joints.
         controller: The control law; may be replaced.
         rest: From `rest_responses`.
         limits: When the loop counts as lost.

@@ -292,7 +292,6 @@ class ReferenceMap:
     left out, since the coupling decides its position.
 
     Args:
-        names: Controlled joints.
         couplings: Those of the scene.
     """
 

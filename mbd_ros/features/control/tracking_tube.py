@@ -44,7 +44,6 @@ def tube_level(
     """A share of a cost to go from which random disturbances return, each at a random sample.
 
     Args:
-        disturbed: The motion.
         plan: What it follows.
         largest: Where the search begins; halved until all return.
         fastest: Rate of the loop that steps resolve [1/s].
@@ -170,8 +169,6 @@ def held_room(system: Any, crossings: Sequence[Crossing], y: State, u: Array) ->
     Args:
         system: The system that holds them.
         crossings: The numbers, shape (n,).
-        y: The state.
-        u: Inputs.
     """
     x, k = system.expand(y), system.k
     lam, found = system.evaluate(x, u).lam, []

@@ -196,7 +196,6 @@ class JointTolerance(NamedTuple):
     """Tolerances of a goal for one joint: 0 leaves the default, a negative number lifts it.
 
     Attributes:
-        name: The joint.
         position: [rad or m].
         velocity: [rad/s or m/s].
         acceleration: [rad/s^2 or m/s^2]; a tolerance > 0 cannot be watched.

@@ -25,8 +25,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
     from mbd_ros.features.dirac_brackets.job import bracket
     from mbd_ros.files.formats import format_of
-    from mbd_ros.files.output_file import check_place, refuse_overwriting
     from mbd_ros.files.table import MAIN, Result
+    from mbd_ros.files.text_file import check_place, refuse_overwriting
     from mbd_ros.scene.reader import load_any
 
     out, scene = arguments.out, load_any(arguments.scene)

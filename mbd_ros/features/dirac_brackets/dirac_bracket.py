@@ -32,7 +32,6 @@ class DiracBracket:
         q: Symbols of the coordinates, a column of n.
         v: Symbols of the velocities.
         g: Rows of positions that are independent, a column.
-        kinetic: Kinetic energy.
 
     Attributes:
         n: Number of coordinates.
@@ -137,7 +136,6 @@ def of_particles(system: ParticleSystem, kept: list[int]) -> DiracBracket:
     """Brackets of the coordinates of particles.
 
     Args:
-        system: Its points.
         kept: Rows that are independent.
     """
     q, v = ca.SX.sym("q", system.nv), ca.SX.sym("v", system.nv)

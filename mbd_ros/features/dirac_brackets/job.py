@@ -95,7 +95,6 @@ class PhaseSpace(NamedTuple):
 
     Attributes:
         names: Of the coordinates.
-        bracket: Its brackets.
         q: The start, shape (n,).
         v: Its velocities along the rows.
         system: The system; `applied` gives forces on the coordinates.

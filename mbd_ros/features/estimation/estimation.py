@@ -97,7 +97,6 @@ def estimation_of(
     """Make a scene ready for an estimator.
 
     Args:
-        scene: The scene.
         task: What is asked.
         measured: Joints whose positions come with joint states.
         rated: Joints whose velocities do.

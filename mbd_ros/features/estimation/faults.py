@@ -76,7 +76,6 @@ class FaultNaming:
 
         Args:
             x: Estimated state of all joints.
-            u: Inputs.
             lacking: Unknown efforts, shape (k,).
             deviation: Their standard deviations, shape (k,).
         """

@@ -16,8 +16,8 @@ from mbd_ros.features.estimation.faults import InnovationWatch
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
 from mbd_ros.features.estimation.unknowns import inner
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.estimation.kalman_filter import Filtered, KalmanFilter, lagged, smoothed
@@ -232,7 +232,6 @@ def measured_values(estimation: Estimation, source: Source, motion: Motion) -> A
     Args:
         estimation: Of the scene.
         source: The recording; columns `<sensor>` or `<sensor>.<component>`.
-        motion: Its joints.
 
     Raises:
         DataError: Nothing of any sensor is in it.
@@ -271,7 +270,6 @@ def recorded_inputs(
 
     Args:
         estimation: Of the scene.
-        motion: The recording.
         wrenches: External loads; None where none are known.
         say: Is told what is lacking.
 

@@ -44,7 +44,6 @@ def basin_of(
     Args:
         family: The scene and its task.
         gaits: The gaits; those that are stable are looked for, or all where none is.
-        asked: The grid.
         workers: How many cores work at the same time.
         scheduler: Of a Dask cluster.
 

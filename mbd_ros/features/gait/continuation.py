@@ -59,8 +59,6 @@ class Continuation:
 
     Attributes:
         family: The return map at a value of the parameter.
-        low: Smallest value.
-        high: Largest value.
         most: Points of one branch.
         notice: Is called with every new point.
     """
@@ -268,7 +266,6 @@ class BranchPoint(NamedTuple):
     """A periodic motion at one value of a parameter.
 
     Attributes:
-        parameter: The value.
         tangent: Direction of the branch: of the state before the event of the section, then of
             the parameter in units of its range; of length one, shape (n + 1,).
         slopes: Derivative of the residual by the same, shape (n, n + 1).
@@ -314,7 +311,6 @@ def test(mark: str, point: BranchPoint) -> float:
     Args:
         mark: A fold: the direction of the parameter. A doubling: prod (1 + m) of the multipliers
             m. A torus: |m|^2 - 1 of the pair of complex ones that is nearest to the unit circle.
-        point: The point.
 
     Source: Y. Kuznetsov, Elements of Applied Bifurcation Theory, 2004, ch. 5 and 10.
     """

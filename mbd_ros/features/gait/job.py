@@ -21,8 +21,8 @@ from mbd_ros.features.gait.tables import (
     motion_table,
 )
 from mbd_ros.features.gait.task import GaitTask, gait_task
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Result, Table
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.jobs.result_files import beside, write_tables
@@ -189,7 +189,6 @@ def gait_to(
     """Find gaits, and write them where a place is given.
 
     Args:
-        scene: The scene.
         task: Task file; None for a gait near the start of the scene.
         out: The motion of the first gait; its suffix chooses the format.
         page: A page for people.

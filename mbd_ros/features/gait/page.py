@@ -11,9 +11,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from mbd_ros.core.state import Array
 from mbd_ros.features.gait.tables import BASIN, BRANCHES, GAITS, MARKS
-from mbd_ros.files.output_file import replacing
 from mbd_ros.files.plot import Picture
 from mbd_ros.files.table import MAIN, TIME, Result, Table
+from mbd_ros.files.text_file import replacing
 
 _WIDTH, _HEIGHT = 8.0, 3.4  # in
 _COLOURS = ("tab:blue", "tab:orange", "tab:green", "tab:red", "tab:purple", "tab:brown")
@@ -30,7 +30,6 @@ def write_page(result: Result, path: Path, parameter: str) -> None:
 
     Args:
         result: Of `run_gait`.
-        path: The page.
         parameter: Of the continuation; empty without one.
     """
     title = html.escape(f"Gaits of {result.metadata['scene']}")

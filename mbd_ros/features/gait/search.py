@@ -258,7 +258,6 @@ def flow_of(scene: Scene, task: GaitTask) -> SimulatedFlow:
     """The motion of a scene, cycle by cycle.
 
     Args:
-        scene: The scene.
         task: Event of the section, longest cycle and integrator count.
 
     Raises:
@@ -324,7 +323,6 @@ def travel_of(
     """The directions along which neither rates nor rows nor guards nor resets change.
 
     Args:
-        flow: The motion.
         segments: A cycle of it.
         coordinates: Those that may be such directions.
     """

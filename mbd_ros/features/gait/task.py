@@ -23,8 +23,6 @@ class Grid:
 
     Attributes:
         name: `<joint>.position` or `<joint>.velocity`.
-        low: First value.
-        high: Last value.
         count: How many, both ends included.
     """
 
@@ -40,8 +38,6 @@ class ContinuationTask:
 
     Attributes:
         parameter: `slope`, or `<name of a part>.<argument>`.
-        low: Smallest value.
-        high: Largest value.
         doublings: How many times a branch is left for that of twice the period.
         points: Largest number of points on a branch.
     """

@@ -108,7 +108,6 @@ class _Choice:
     """Compares ways to couple motors.
 
     Args:
-        problem: The rows.
         allowed: Terms of friction.
         delay: Of efforts against motion [s].
         effective: Independent rows of each joint, shape (m,).
@@ -435,7 +434,6 @@ def feedback_of(
     It counts where it is worth its price by Schwarz's information criterion.
 
     Args:
-        problem: The rows.
         scene: What was found.
         pieces: Those that were learned from.
         delay: Of efforts against motion [s].

@@ -31,8 +31,8 @@ from mbd_ros.features.identification.samples import (
     check_units,
 )
 from mbd_ros.features.identification.task import Identified, Task, keep_remarks
-from mbd_ros.files.output_file import refuse_overwriting
 from mbd_ros.files.table import Result, Table
+from mbd_ros.files.text_file import refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene

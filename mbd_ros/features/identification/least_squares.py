@@ -30,7 +30,6 @@ def fit(joints: Sequence[Joint], taken: Sequence[tuple[int, ...]], r: int) -> Fi
     """Iteratively reweighted least squares, one deviation a joint.
 
     Args:
-        joints: The joints.
         taken: Columns of each that are taken.
         r: Number of base parameters.
 
@@ -54,7 +53,6 @@ class Joint(NamedTuple):
         R: Triangle of columns: base parameters, candidates of friction, torque; shape (k, ..).
         rows: How many rows it stands for.
         effective: How many independent ones these are worth.
-        columns: The candidates.
         usual: Root mean square of the torque [N·m or N].
     """
 
@@ -127,7 +125,6 @@ def select(
     """Columns of friction, joint by joint, by Schwarz's information criterion.
 
     Args:
-        joints: The joints.
         allowed: Terms that may be taken.
         r: Number of base parameters.
         deviation: Of each joint with many columns taken [N·m or N].
@@ -201,8 +198,6 @@ def _cheapest(
 
     Args:
         left: Columns of the candidates and the torque, all else eliminated.
-        columns: The candidates.
-        every: Choices.
         price: Of a column.
     """
     y, best, cheapest = left[:, -1], np.inf, every[0]
@@ -367,7 +362,6 @@ def rows_by_worth(
 
     Args:
         joints: The joints of a fit.
-        fit: It.
         r: Number of base parameters.
         least: Deviations that rows have at least [N·m or N], shape (m,).
 

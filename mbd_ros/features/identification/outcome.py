@@ -37,9 +37,9 @@ from mbd_ros.features.identification.regression import Learned, residual
 from mbd_ros.features.identification.regressor import Column, parameter_name
 from mbd_ros.features.identification.samples import Filter, Piece, grid_step
 from mbd_ros.features.identification.task import Identified
-from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import Column as TableColumn
 from mbd_ros.files.table import Table
+from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.variants import with_inertias, with_sections
@@ -57,8 +57,6 @@ def outcome(
 
     Args:
         scene: The scene as it was given.
-        problem: The rows.
-        found: Least squares.
         fitted: The nearest bodies.
         say: Is told what matters.
     """
@@ -260,8 +258,6 @@ def tested(scene: Scene, new: Scene, problem: Problem, found: Learned) -> Tested
     Args:
         scene: As it was given.
         new: What was found.
-        problem: The rows.
-        found: Least squares.
     """
     names, delay = TableColumn("joint", np.array(list(problem.labels))), found.delay
     none = np.zeros(len(problem.rows))

@@ -248,8 +248,6 @@ def inertias_of_links(
     it takes all and those that are fixed to it lose theirs.
 
     Args:
-        robot: The robot.
-        bodies: Its bodies.
         inertial: Their numbers, shape (bodies, 10).
 
     Returns:

@@ -368,9 +368,7 @@ def passive_joints(
     measured a body that moves freely, such as the pelvis in a model of a person.
 
     Args:
-        scene: The scene.
         named: Joints that the user names.
-        recorded: The recordings.
         say: Is told which they are.
 
     Raises:

@@ -247,7 +247,6 @@ def columns_of(chosen: Sequence[Column], v: Array, a: Array, weight: Array) -> A
     """Values of columns, shape (n, len(chosen)).
 
     Args:
-        chosen: The columns.
         v: Velocities of the joint [rad/s or m/s], shape (n,).
         a: Its accelerations, shape (n,).
         weight: Torques that hold it still, shape (n,).
@@ -328,9 +327,7 @@ def random_states(
     """States for ranks: positions within limits, velocities and accelerations of about 1.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints.
-        count: How many.
         seed: Of the random numbers.
 
     Returns:

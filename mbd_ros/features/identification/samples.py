@@ -45,7 +45,6 @@ class Recorded(NamedTuple):
     """A recording, or a part of one.
 
     Attributes:
-        where: Its name.
         motion: Its samples, independent joints first.
         loads: Measured wrenches, by name.
         derivatives: Where velocities and accelerations come from: given or zero-phase.
@@ -103,7 +102,6 @@ def read(
     """A recording with all that identification needs of it.
 
     Args:
-        scene: The scene.
         source: Result, file or bag.
         wrenches: Of its external loads, where a table does not carry them.
         topic: JointState topic of a bag.
@@ -157,7 +155,6 @@ def pieces(scene: Scene, recorded: Recorded, band: float | None) -> Iterator[Pie
     """Pieces without gaps.
 
     Args:
-        scene: The scene.
         recorded: What they are of.
         band: End of the band of motions and efforts [Hz]; None: as measured.
 
@@ -320,9 +317,7 @@ def check_units(
     """Refuse efforts that are the torque of the given robot times something else.
 
     Args:
-        where: The recordings.
         labels: Names of the joints.
-        joints: Their triangles.
         given: Base parameters of the description.
         r: Number of base parameters.
 
@@ -369,7 +364,6 @@ def check_excitation(
     """Refuse a motion that hides base parameters, or name them.
 
     Args:
-        where: The recordings.
         base: What states can show.
         texts: Expressions of the base parameters.
         rows: Weighted rows of the base parameters, shape (k, r).
@@ -409,7 +403,6 @@ def check_still(
     """Refuse joints that do not move, with the parameters that they would show.
 
     Args:
-        where: The recordings.
         movement: Of each row: name, how far it moves [rad or m], body that it moves first.
         texts: Expressions of the base parameters.
         partial: Name them only.

@@ -42,7 +42,6 @@ def stream(scene: Scene, task: Task, motion: Path, out: Path, say: Say) -> int |
     """Write the torques of a bag into a bag.
 
     Args:
-        scene: The scene.
         task: What is asked for.
         motion: The bag of the motion.
         out: The bag to write.
@@ -181,7 +180,6 @@ class SmoothedSource:
     Args:
         scene: No joint of it turns without end.
         task: What is asked for.
-        path: The bag.
         folder: Where the motion waits in a file.
     """
 
@@ -277,11 +275,7 @@ class _Sides:
 
 
 class _Moving:
-    """Positions and velocities of the independent joints, and positions of the others, by rows.
-
-    Attributes:
-        spool: Holds them.
-    """
+    """Positions and velocities of the independent joints, and positions of the others, by rows."""
 
     def __init__(self, spool: Spool, independent: int) -> None:
         self.spool, self._n = spool, independent

@@ -20,8 +20,8 @@ from mbd_ros.errors import DataError
 from mbd_ros.features.inverse_dynamics.result import check_finite, effort_residual, result_metadata
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.formats import is_bag
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table, stamps_of, time_columns
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.motion.batch import Batch, Outcome, do_batch, do_one, task_of
@@ -68,7 +68,6 @@ def inverse(
     """Torques and coupling forces of a motion.
 
     Args:
-        scene: The scene.
         motion: Result, file or bag with the positions of its joints.
         derivatives: given, causal, zero-phase or opensim.
         cutoff: Half-power frequency of the filters [Hz]; None: as `Derivatives` says.
@@ -150,7 +149,6 @@ def commands_of(scene: Scene, table: Table) -> tuple[list[Column], list[str]]:
     whose torque follows from a motion: internal states are not in it.
 
     Args:
-        scene: The scene.
         table: Motion and efforts.
 
     Returns:
@@ -228,7 +226,6 @@ def inverse_to(scene: Scene, task: Task, out: Path, say: Say) -> None:
     """Read a motion, write its torques.
 
     Args:
-        scene: The scene.
         task: What is asked for.
         out: Its suffix chooses the format.
         say: Is told what was done and left out, a line each.

@@ -25,7 +25,6 @@ def result_metadata(scene: Scene, task: Task, topics: Mapping[str, object]) -> d
     """Metadata of a result of inverse dynamics.
 
     Args:
-        scene: The scene.
         task: What was asked for.
         topics: Topics of a bag that open chains or loops fill; those of the causes are added.
     """

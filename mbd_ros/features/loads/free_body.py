@@ -345,7 +345,6 @@ class ActingWrenches:
 
     Args:
         rows: The rows that multipliers are given for.
-        forces: Force terms.
         loads: External loads by name.
         paths: What muscles pull along, by the name of the muscle.
     """
@@ -371,7 +370,6 @@ class ActingWrenches:
         """The wrenches at a state.
 
         Args:
-            k: Kinematics there.
             x: State of all joints.
             multipliers: Of the rows, shape (m,).
             loads: One (6,) array [N, N·m] for every external load.

@@ -21,7 +21,6 @@ from mbd_ros.features.loads.free_body import (
 )
 from mbd_ros.features.loads.history import History, Instant, Units, in_slots, instants_of, units_of
 from mbd_ros.files.formats import is_bag
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import (
     MAIN,
     Column,
@@ -31,6 +30,7 @@ from mbd_ros.files.table import (
     read_result,
     time_columns,
 )
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.motion.derivatives import Derivatives

@@ -46,7 +46,6 @@ def exchanged_labels(solver: MarkerFit, fit: Fit, seen: Seen) -> list[Exchange]:
     """Exchanges that lower the objective by much, in several frames in a row.
 
     Args:
-        solver: Fits frames.
         fit: The frames as they are labelled.
     """
     found = []

@@ -26,8 +26,8 @@ from mbd_ros.features.markers.marker_kinematics import (
     targets_of,
 )
 from mbd_ros.files.body_columns import motion_columns
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.columns import axes_matrix, joint_columns, other_axes, state_topics
@@ -284,7 +284,6 @@ def turned(capture: Capture, axes: str) -> Capture:
     """Markers in axes of the scene.
 
     Args:
-        capture: As recorded.
         axes: `x,z,-y` or the like; or `screen`: x along X_SCREEN, y along Y_SCREEN.
 
     Raises:

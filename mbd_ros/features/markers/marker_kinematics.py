@@ -50,9 +50,6 @@ class MarkerKinematics:
         tasks: Joint -> weight of the square of its distance from a position that is asked for.
         limits: Whether the position limits of joints are kept, dependent ones included.
 
-    Attributes:
-        solver: Fits frames.
-
     Raises:
         ModelError: No marker and no task, or a task for a joint that there is not.
     """

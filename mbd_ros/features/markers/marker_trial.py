@@ -62,7 +62,6 @@ def first_frame(fit: MarkerFit, robot: Robot, start: Array, seen: Seen) -> Fit:
 
     Args:
         start: Default configuration, shape (nq,).
-        seen: One frame.
     """
     own = fit.fit(start[None], seen, far=True)
     if own.objective[0] <= _GOOD:
@@ -246,7 +245,6 @@ class _Band:
     Args:
         times: [s], increasing, shape (N,).
         n: Coordinates of a frame.
-        smoothness: s.
     """
 
     def __init__(self, times: Array, n: int, smoothness: float) -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import yaml
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.output_file import replacing
+from mbd_ros.files.text_file import replacing
 from mbd_ros.scene.models.imported_model import Imported
 from mbd_ros.scene.models.model_entry import brought_sections, format_of, import_model
 from mbd_ros.scene.models.urdf_text import plain

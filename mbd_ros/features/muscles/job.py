@@ -16,7 +16,6 @@ from mbd_ros.features.muscles.muscle_frames import Frames
 from mbd_ros.features.muscles.static_optimization import Shares, StaticOptimization
 from mbd_ros.features.muscles.task import MusclesTask, muscles_task
 from mbd_ros.features.muscles.trial import Shared, shared_trial
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import (
     MAIN,
     Column,
@@ -26,6 +25,7 @@ from mbd_ros.files.table import (
     read_result,
     time_columns,
 )
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads
 from mbd_ros.methods.inverse_dynamics.reserves import CoordinateReserve
@@ -113,7 +113,6 @@ def muscles_to(
     """Read a motion, write what muscles do in it.
 
     Args:
-        scene: The scene.
         task: The motion, as inverse dynamics takes it.
         asked: What is asked of the muscles.
         options: The same as it was given, for the metadata.
@@ -175,7 +174,6 @@ def measured_activations(
 
     Args:
         path: A table; None where nothing was measured.
-        muscles: The muscles.
         stamps: Of the frames [ns], shape (frames,).
 
     Raises:
@@ -398,8 +396,6 @@ def share_columns(
     """Motion, needed efforts, muscles and reserves.
 
     Args:
-        solver: What shared.
-        samples: The motion.
         chunks: Its shares, some frames each.
     """
     muscles, reserves = solver.muscles, solver.reserves

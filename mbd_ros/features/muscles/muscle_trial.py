@@ -60,7 +60,6 @@ class Trial(NamedTuple):
             found: What muscles do.
             b: Shares of the points in the width of an interval.
             falling: Time in which activations fall [s], shape (n,).
-            exponent: The p.
         """
         p, (a, e, r) = exponent, (values[1:] for values in found[:3])
         each = (self.prices[1:] * e**p + self.stiffness[1:] * (a - self.target[1:]) ** 2).sum(1)

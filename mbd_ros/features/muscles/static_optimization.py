@@ -169,7 +169,6 @@ class StaticOptimization:
             times: Of the frames [s], shape (frames,).
             position: Of the independent coordinates, shape (frames, ny).
             velocity: Same, shape (frames, nv_y).
-            acceleration: Same.
             wrenches: One (frames, 6) array for every external load; none means unloaded.
             measured: Activations that were measured, NaN where none was, shape (frames, n).
 

@@ -64,7 +64,6 @@ class MusclesTask:
         """Static optimisation with its own Pinocchio data.
 
         Args:
-            scene: The scene.
             is_live: Whether frames come one by one, which native code is worth then.
 
         Raises:
@@ -115,7 +114,6 @@ def muscles_task(scene: Scene, given: Any, where: str, folder: Path = Path()) ->
     """The task that options ask for.
 
     Args:
-        scene: The scene.
         given: Options by name, see `_task`.
         where: File and key, for the messages.
         folder: Where paths begin.

@@ -57,8 +57,6 @@ def shared_trial(
 
     Args:
         solver: Of the frames one by one.
-        asked: What dynamics.
-        samples: The motion.
         wrenches: External loads at its samples.
         static: What static optimisation says of them.
         measured: Measured activations at some stamps [ns].
@@ -313,7 +311,6 @@ def between(muscles: Sequence[Muscle], points: Points, found: Excited) -> Array:
     """Largest error of the activations over each interval, by their defect between the points.
 
     Args:
-        muscles: The muscles.
         points: Where they are looked at.
         found: What they do there.
     """

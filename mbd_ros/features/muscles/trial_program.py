@@ -64,7 +64,6 @@ class MuscleProgram:
         muscles: At least one.
         trial: What is known of it at the points.
         scheme: Whose last point is the end of an interval.
-        exponent: The p.
         part: Which intervals are solved; None for all.
     """
 
@@ -94,7 +93,6 @@ class MuscleProgram:
         Args:
             guess: From where it is looked for.
             accuracy: Of the conditions of the optimum.
-            most: Iterations.
             is_near: Whether the guess is nearly the optimum.
         """
         lower, upper = self._bounds()
@@ -356,7 +354,6 @@ class MuscleNumbers(NamedTuple):
         Args:
             start: At the start.
             points: At the points.
-            some: Which columns.
 
         Returns:
             Shape (1 + degree, intervals * len(some)).

@@ -246,7 +246,6 @@ class References:
     Args:
         recording: Of the motion, whose clock all files have; None without one: each begins with
             the motion then.
-        motion: Its file.
         begin: Where the motion begins in the time of the scene [s].
     """
 
@@ -264,7 +263,6 @@ class References:
 
         Args:
             goal: Of type `tracking`.
-            names: Of quantities.
             times: [s].
 
         Raises:

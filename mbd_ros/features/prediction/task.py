@@ -1,5 +1,7 @@
 """The `predict` section of a task file: which motion is asked of a scene, and what is best."""
 
+from __future__ import annotations
+
 import importlib
 import math
 from collections.abc import Callable, Mapping, Sequence
@@ -16,67 +18,8 @@ from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 
-# ---- goals ------------------------------------------------------------------------------------
-# Goals of a motion as entries of a task file.
-#
-# The arguments of the function of a type are the keys of its goal.
-
-
 Power = Annotated[int, Within(1, 10)]
 Seen = Any  # a name, a list of names, or names with weights
-
-
-def goals_of(given: Sequence[Any], where: str, folder: Path | None = None) -> tuple[Goal, ...]:
-    """The goals of a list of entries.
-
-    Args:
-        given: Entries with `type`, `weight`, `name` and the keys of that type.
-        where: File and key, for the messages.
-        folder: From which files are looked for.
-
-    Raises:
-        SceneError: Names key, what is wrong and what is accepted.
-    """
-    found = list[Goal]()
-    for i, entry in enumerate(given):
-        at = f"{where}[{i}]"
-        if callable(entry):
-            entry = {"type": "function", "function": entry}
-        found.append(_goal(entry, at, folder, {goal.name for goal in found}))
-    return tuple(found)
-
-
-def _goal(entry: Any, where: str, folder: Path | None, taken: set[str]) -> Goal:
-    if not isinstance(entry, dict):
-        raise SceneError(f"{where}: expected a mapping with type, got {entry!r}")
-    rest = {key: one for key, one in entry.items() if key not in ("type", "weight", "name")}
-    kind = entry.get("type")
-    if kind not in _KINDS:
-        raise SceneError(f"{where}.type: expected one of {', '.join(_KINDS)}, got {kind!r}")
-    weight = schema.value(entry.get("weight", 1.0), float, f"{where}.weight")
-    options = schema.call(_KINDS[kind], rest, where)
-    name = str(entry.get("name", kind))
-    number = 1
-    while name in taken:
-        number += 1
-        name = f"{entry.get('name', kind)}_{number}"
-    if isinstance(options.get("function"), str):
-        options["function"] = _function_of(options["function"], f"{where}.function")
-    if options.get("file"):
-        options["file"] = find_file(folder or Path(), options["file"], f"{where}.file")
-    return Goal(kind, weight, options, name)
-
-
-def _function_of(path: str, where: str) -> Callable[[Any], Any]:
-    from mbd_ros.scene.schema.code_permission import require_permission
-
-    require_permission(where, {"function": path})
-    module, _, name = path.partition(":")
-    try:
-        found: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
-    except (ImportError, AttributeError, ValueError) as error:
-        raise SceneError(f"{where}: {path} cannot be imported: {error}") from error
-    return found
 
 
 def _powers(of: Seen = None, power: Power = 2) -> dict[str, Any]:
@@ -145,12 +88,6 @@ _KINDS: Mapping[str, Callable[..., dict[str, Any]]] = {
     "final": _value,
     "function": _function,
 }
-
-
-# ---- task -------------------------------------------------------------------------------------
-# The `predict` section of a task file: which motion is asked of a scene, and what is best.
-
-
 FREE = "free"
 _LASTS = "a number above 0, or [shortest, longest]"
 DrivenBy = Literal["scene", "joints", "muscles"]
@@ -161,32 +98,10 @@ _OF_RECORDING = 1.0e-5  # which is measured less well than that
 
 
 @dataclass(frozen=True)
-class PhaseTask:
-    """What is asked of a phase.
-
-    Attributes:
-        phase: Name of a phase of the scene; empty where it has none.
-        duration: Shortest and longest [s]; None for that of the recording.
-        bounds: Quantity -> range, all the time.
-        start: The same at the beginning.
-        end: The same at the end.
-        goals: Terms of the cost.
-    """
-
-    phase: str
-    duration: Range | None
-    bounds: Mapping[str, Range]
-    start: Mapping[str, Range]
-    end: Mapping[str, Range]
-    goals: tuple[Goal, ...]
-
-
-@dataclass(frozen=True)
 class MeshTask:
     """The first mesh.
 
     Attributes:
-        scheme: Of collocation.
         degree: Points of an interval.
         intervals: Of each phase; None for 10, or 25 a second of a recording.
         refinements: How many times intervals are split at most.
@@ -196,25 +111,6 @@ class MeshTask:
     degree: Annotated[int, Within(1, LARGEST_DEGREE)] = 5
     intervals: Annotated[int | None, Within(1, 10_000)] = None
     refinements: Annotated[int, Within(0, 30)] = 10
-
-
-@dataclass(frozen=True)
-class RecordingTask:
-    """A recorded motion, and the loads that were measured with it.
-
-    Attributes:
-        motion: File of the motion: what goals track where they name no file, and the guess.
-        external: External loads of OpenSim, an .xml.
-        wrenches: Table of the external wrenches of the scene.
-        times: First and last time that count [s]; None for all of the motion.
-        cutoff: Of the low-pass that the motion goes through [Hz]; None for none.
-    """
-
-    motion: Path
-    external: Path | None = None
-    wrenches: Path | None = None
-    times: Range | None = None
-    cutoff: float | None = None
 
 
 @dataclass(frozen=True)
@@ -265,6 +161,46 @@ class PredictTask:
     source: str = ""
     recording: RecordingTask | None = None
     driven_by: DrivenBy = "scene"
+
+
+@dataclass(frozen=True)
+class PhaseTask:
+    """What is asked of a phase.
+
+    Attributes:
+        phase: Name of a phase of the scene; empty where it has none.
+        duration: Shortest and longest [s]; None for that of the recording.
+        bounds: Quantity -> range, all the time.
+        start: The same at the beginning.
+        end: The same at the end.
+        goals: Terms of the cost.
+    """
+
+    phase: str
+    duration: Range | None
+    bounds: Mapping[str, Range]
+    start: Mapping[str, Range]
+    end: Mapping[str, Range]
+    goals: tuple[Goal, ...]
+
+
+@dataclass(frozen=True)
+class RecordingTask:
+    """A recorded motion, and the loads that were measured with it.
+
+    Attributes:
+        motion: File of the motion: what goals track where they name no file, and the guess.
+        external: External loads of OpenSim, an .xml.
+        wrenches: Table of the external wrenches of the scene.
+        times: First and last time that count [s]; None for all of the motion.
+        cutoff: Of the low-pass that the motion goes through [Hz]; None for none.
+    """
+
+    motion: Path
+    external: Path | None = None
+    wrenches: Path | None = None
+    times: Range | None = None
+    cutoff: float | None = None
 
 
 def build_task(site: Site, given: Any) -> PredictTask:
@@ -368,10 +304,87 @@ def _task(
     )
 
 
-def _names(given: Any, where: str) -> tuple[str, ...]:
-    if isinstance(given, bool):
-        return ("*.position", "*.velocity") if given else ()
-    return tuple(schema.value(given, Sequence[str], where))
+def recording_of(given: Any, where: str, folder: Path) -> RecordingTask | None:
+    """The recording of an entry.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    if given is None:
+        return None
+    if isinstance(given, str):
+        given = {"motion": given}
+    if not isinstance(given, dict):
+        raise SceneError(f"{where}: expected a file, or motion with external and times")
+    found: RecordingTask = schema.call(_recording, given, where, where, folder)
+    return found
+
+
+def _recording(
+    where: str,
+    folder: Path,
+    *,
+    motion: str,
+    external: str | None = None,
+    wrenches: str | None = None,
+    times: Any = None,
+    cutoff: Annotated[float | None, Within(1.0e-3, 1.0e6), Unit("Hz")] = None,
+) -> RecordingTask:
+    if external is not None and wrenches is not None:
+        raise SceneError(f"{where}: external and wrenches say the same; accepted: one of them")
+    names = {"motion": motion, "external": external, "wrenches": wrenches}
+    files = {
+        key: None if name is None else find_file(folder, name, f"{where}.{key}")
+        for key, name in names.items()
+    }
+    assert files["motion"] is not None
+    span = None if times is None else open_range(times, f"{where}.times")
+    return RecordingTask(files["motion"], files["external"], files["wrenches"], span, cutoff)
+
+
+def open_range(given: Any, where: str) -> Range:
+    """A range with some width."""
+    low, high = range_of(given, where)
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        raise SceneError(f"{where}: expected [low, high] with low < high, got {given}")
+    return low, high
+
+
+def range_of(given: Any, where: str) -> Range:
+    """A number, [low, high] with null for no bound, or `free`."""
+    if given == FREE:
+        return -math.inf, math.inf
+    if isinstance(given, list):
+        if len(given) != 2:
+            raise SceneError(f"{where}: expected a number or [low, high], got {given}")
+        ends = (-math.inf, math.inf)
+        pairs = zip(given, ends, strict=True)
+        low, high = (end if one is None else schema.value(one, float, where) for one, end in pairs)
+        if low > high:
+            raise SceneError(f"{where}: lower bound {low:g} is above the upper one {high:g}")
+        return low, high
+    number = schema.value(given, float, where)
+    return number, number
+
+
+def duration_of(given: Any, where: str) -> Range:
+    """Shortest and longest duration [s]."""
+    low, high = range_of(given, where)
+    if high == 0.0:
+        raise SceneError(
+            f"{where}: a phase that lasts no time; accepted: above 0, or leave it out and let the "
+            "guard before it lead to the phase after it, with what both reset"
+        )
+    if not (low >= SMALLEST and high <= LARGEST):
+        raise SceneError(f"{where}: {low:g} .. {high:g} s is out of range, accepted: {_LASTS}")
+    return low, high
+
+
+def ranges(given: Any, where: str) -> dict[str, Range]:
+    """Quantity -> range."""
+    if not isinstance(given, dict):
+        raise SceneError(f"{where}: expected quantities with a number or [low, high] each")
+    return {str(key): range_of(one, f"{where}.{key}") for key, one in given.items()}
 
 
 def phases_of(
@@ -380,7 +393,6 @@ def phases_of(
     """The phases of a list of entries.
 
     Args:
-        given: Entries.
         motion: What is asked of all of it: bounds that hold in all phases, where they do not say
             otherwise, goals that count in all, ranges at its start and end.
         where: File and key, for the messages.
@@ -420,89 +432,6 @@ def _phase(
     )
 
 
-def duration_of(given: Any, where: str) -> Range:
-    """Shortest and longest duration [s]."""
-    low, high = range_of(given, where)
-    if high == 0.0:
-        raise SceneError(
-            f"{where}: a phase that lasts no time; accepted: above 0, or leave it out and let the "
-            "guard before it lead to the phase after it, with what both reset"
-        )
-    if not (low >= SMALLEST and high <= LARGEST):
-        raise SceneError(f"{where}: {low:g} .. {high:g} s is out of range, accepted: {_LASTS}")
-    return low, high
-
-
-def ranges(given: Any, where: str) -> dict[str, Range]:
-    """Quantity -> range."""
-    if not isinstance(given, dict):
-        raise SceneError(f"{where}: expected quantities with a number or [low, high] each")
-    return {str(key): range_of(one, f"{where}.{key}") for key, one in given.items()}
-
-
-def range_of(given: Any, where: str) -> Range:
-    """A number, [low, high] with null for no bound, or `free`."""
-    if given == FREE:
-        return -math.inf, math.inf
-    if isinstance(given, list):
-        if len(given) != 2:
-            raise SceneError(f"{where}: expected a number or [low, high], got {given}")
-        ends = (-math.inf, math.inf)
-        pairs = zip(given, ends, strict=True)
-        low, high = (end if one is None else schema.value(one, float, where) for one, end in pairs)
-        if low > high:
-            raise SceneError(f"{where}: lower bound {low:g} is above the upper one {high:g}")
-        return low, high
-    number = schema.value(given, float, where)
-    return number, number
-
-
-def open_range(given: Any, where: str) -> Range:
-    """A range with some width."""
-    low, high = range_of(given, where)
-    if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        raise SceneError(f"{where}: expected [low, high] with low < high, got {given}")
-    return low, high
-
-
-def recording_of(given: Any, where: str, folder: Path) -> RecordingTask | None:
-    """The recording of an entry.
-
-    Raises:
-        SceneError: Names key, what is wrong and what is accepted.
-    """
-    if given is None:
-        return None
-    if isinstance(given, str):
-        given = {"motion": given}
-    if not isinstance(given, dict):
-        raise SceneError(f"{where}: expected a file, or motion with external and times")
-    found: RecordingTask = schema.call(_recording, given, where, where, folder)
-    return found
-
-
-def _recording(
-    where: str,
-    folder: Path,
-    *,
-    motion: str,
-    external: str | None = None,
-    wrenches: str | None = None,
-    times: Any = None,
-    cutoff: Annotated[float | None, Within(1.0e-3, 1.0e6), Unit("Hz")] = None,
-) -> RecordingTask:
-    if external is not None and wrenches is not None:
-        raise SceneError(f"{where}: external and wrenches say the same; accepted: one of them")
-    names = {"motion": motion, "external": external, "wrenches": wrenches}
-    files = {
-        key: None if name is None else find_file(folder, name, f"{where}.{key}")
-        for key, name in names.items()
-    }
-    assert files["motion"] is not None
-    span = None if times is None else open_range(times, f"{where}.times")
-    return RecordingTask(files["motion"], files["external"], files["wrenches"], span, cutoff)
-
-
 def guess_of(
     given: Any, where: str, folder: Path
 ) -> tuple[dict[str, tuple[float, ...]], Path | None]:
@@ -527,6 +456,12 @@ def guess_of(
     }, None
 
 
+def _names(given: Any, where: str) -> tuple[str, ...]:
+    if isinstance(given, bool):
+        return ("*.position", "*.velocity") if given else ()
+    return tuple(schema.value(given, Sequence[str], where))
+
+
 def muscles_of(given: Any, where: str) -> Mapping[str, Any] | None:
     """Arguments of the muscles in place of those of the scene; None where these stay.
 
@@ -539,3 +474,56 @@ def muscles_of(given: Any, where: str) -> Mapping[str, Any] | None:
     if entry.pop("type", None) != SMOOTH:
         raise SceneError(f"{where}: accepted: {SMOOTH}, or {{type: {SMOOTH}, tendon: rigid}}")
     return entry
+
+
+def goals_of(given: Sequence[Any], where: str, folder: Path | None = None) -> tuple[Goal, ...]:
+    """The goals of a list of entries.
+
+    Args:
+        given: Entries with `type`, `weight`, `name` and the keys of that type.
+        where: File and key, for the messages.
+        folder: From which files are looked for.
+
+    Raises:
+        SceneError: Names key, what is wrong and what is accepted.
+    """
+    found = list[Goal]()
+    for i, entry in enumerate(given):
+        at = f"{where}[{i}]"
+        if callable(entry):
+            entry = {"type": "function", "function": entry}
+        found.append(_goal(entry, at, folder, {goal.name for goal in found}))
+    return tuple(found)
+
+
+def _goal(entry: Any, where: str, folder: Path | None, taken: set[str]) -> Goal:
+    if not isinstance(entry, dict):
+        raise SceneError(f"{where}: expected a mapping with type, got {entry!r}")
+    rest = {key: one for key, one in entry.items() if key not in ("type", "weight", "name")}
+    kind = entry.get("type")
+    if kind not in _KINDS:
+        raise SceneError(f"{where}.type: expected one of {', '.join(_KINDS)}, got {kind!r}")
+    weight = schema.value(entry.get("weight", 1.0), float, f"{where}.weight")
+    options = schema.call(_KINDS[kind], rest, where)
+    name = str(entry.get("name", kind))
+    number = 1
+    while name in taken:
+        number += 1
+        name = f"{entry.get('name', kind)}_{number}"
+    if isinstance(options.get("function"), str):
+        options["function"] = _function_of(options["function"], f"{where}.function")
+    if options.get("file"):
+        options["file"] = find_file(folder or Path(), options["file"], f"{where}.file")
+    return Goal(kind, weight, options, name)
+
+
+def _function_of(path: str, where: str) -> Callable[[Any], Any]:
+    from mbd_ros.scene.schema.code_permission import require_permission
+
+    require_permission(where, {"function": path})
+    module, _, name = path.partition(":")
+    try:
+        found: Callable[[Any], Any] = getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError, ValueError) as error:
+        raise SceneError(f"{where}: {path} cannot be imported: {error}") from error
+    return found

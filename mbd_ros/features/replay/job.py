@@ -3,6 +3,8 @@
 The torques of the node are compared with a reference, joint by joint.
 """
 
+from __future__ import annotations
+
 import math
 import signal
 import subprocess
@@ -43,10 +45,6 @@ from msg_adapters.diagnostics import read_diagnostics
 from msg_adapters.joint_state import write_joint_state
 from msg_adapters.time import read_time, write_time
 
-# ---- bag player -------------------------------------------------------------------------------
-# Plays messages to the node `inverse_dynamics` and records the answers.
-
-
 NODE = "/inverse_dynamics"
 TORQUES, CONSTRAINT_FORCES = f"{NODE}/joint_torques", f"{NODE}/constraint_forces"
 JOINT_STATE, WRENCH = "sensor_msgs/msg/JointState", "geometry_msgs/msg/WrenchStamped"
@@ -58,187 +56,10 @@ _IN_FLIGHT = 100  # joint states; the node's queue is deeper
 _PATIENCE = 0.05  # [s] that a signal waits at most: an executor does not wake up for one
 _CLOCK_PERIOD = 10_000_000  # ns of the bag
 _DEEP = QoSProfile(depth=1000)  # nothing is lost in queues
-
-
-class BagPlayer:
-    """Publishes the messages of a bag in their rhythm and records the answers.
-
-    Args:
-        topics: Topics to publish, each with its type.
-        answers: Topics that the node answers every joint state on.
-        bag: Where the answers go.
-        process: The node.
-
-    Attributes:
-        played: Joint states published.
-    """
-
-    def __init__(
-        self,
-        topics: dict[str, str],
-        answers: Sequence[str],
-        bag: BagWriter,
-        process: "subprocess.Popen[bytes]",
-    ) -> None:
-        self.played = self._lost = 0
-        self._answers, self._bag, self._process = dict.fromkeys(answers, 0), bag, process
-        self._state = self._health = ""
-        node = rclpy.create_node("mbd_ros_replay")
-        self._publishers = {
-            topic: node.create_publisher(CLASSES[kind], topic, _DEEP)
-            for topic, kind in topics.items()
-        }
-        self._clock = node.create_publisher(Clock, "/clock", 1)
-        self._clock_time = 0
-        self._subscriptions = [
-            node.create_subscription(JointState, topic, self._recorder(topic), _DEEP)
-            for topic in answers
-        ]
-        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
-        self._executor = EventsExecutor()
-        self._executor.add_node(node)
-
-    @property
-    def answered(self) -> int:
-        """Joint states that were answered on every topic."""
-        return min(self._answers.values())
-
-    def wait_for_node(self) -> None:
-        """Until the node is active, hears every topic and is heard.
-
-        Raises:
-            ReplayError: It does not start, which names the reason, or is not alone.
-        """
-        deadline = time.monotonic() + _START_TIMEOUT
-        while True:
-            self._spin(_PATIENCE)
-            self._check_alone()
-            heard = all(p.get_subscription_count() for p in self._publishers.values())
-            hears = all(s.get_publisher_count() for s in self._subscriptions)
-            if self._state == "active" and heard and hears:
-                return
-            if self._state == "unconfigured" or self._process.poll() is not None:
-                raise ReplayError(f"the node did not start: {self._health or 'it ended'}")
-            if time.monotonic() > deadline:
-                raise ReplayError(f"the node did not start within {_START_TIMEOUT:g} s")
-
-    def play(self, messages: Sequence[tuple[str, int, Any]], topic: str, rate: float) -> None:
-        """Publish everything, then wait for the last answers.
-
-        Args:
-            messages: Topic, log time [ns] and message.
-            topic: The joint states among them.
-            rate: Speed factor; 0 plays as fast as the node answers.
-
-        Raises:
-            ReplayError: The node ends, stops working, answers nothing, or is not alone.
-        """
-        begin, first = time.monotonic(), messages[0][1]
-        for name, log_time, message in progress(messages, len(messages), "replaying"):
-            self._check_node()
-            if rate > 0:
-                self._until(begin + (log_time - first) * 1e-9 / rate)
-            self._publish_clock(log_time)
-            stamp = message.header.stamp
-            if stamp.sec == stamp.nanosec == 0:
-                write_time(stamp, log_time)
-            self._publishers[name].publish(message)
-            self.played += name == topic
-            self._wait_for_answers(_IN_FLIGHT)
-        self._wait_for_answers(0)
-
-    def _check_alone(self) -> None:
-        for subscription in self._subscriptions:
-            if subscription.get_publisher_count() > 1:
-                topic = subscription.topic_name
-                raise ReplayError(f"{topic}: another program publishes it on the same DDS domain")
-
-    def _check_node(self) -> None:
-        self._check_alone()
-        code = self._process.poll()
-        if code is not None or self._state != "active":
-            what = f"is {self._state}" if code is None else f"ended with exit code {code}"
-            raise ReplayError(f"the node {what}: {self._health}")
-
-    def _publish_clock(self, log_time: int) -> None:
-        if log_time - self._clock_time >= _CLOCK_PERIOD or log_time < self._clock_time:
-            self._clock_time = log_time
-            message = Clock()
-            write_time(message.clock, log_time)
-            self._clock.publish(message)
-
-    def _wait_for_answers(self, in_flight: int) -> None:
-        """Wait until at most `in_flight` joint states wait; one that waits too long is lost."""
-        deadline, answered = time.monotonic() + _ANSWER_TIMEOUT, self.answered
-        while self.played - self.answered - self._lost > in_flight:
-            self._spin(_PATIENCE)
-            if self.answered > answered:
-                deadline, answered = time.monotonic() + _ANSWER_TIMEOUT, self.answered
-            elif time.monotonic() > deadline:
-                self._check_node()
-                self._lost = self.played - self.answered
-                if not self.answered:
-                    raise ReplayError(
-                        f"none of {self.played} joint states was answered: {self._health}"
-                    )
-
-    def _until(self, due: float) -> None:
-        while (left := due - time.monotonic()) > 0:
-            self._spin(min(left, _PATIENCE))
-
-    def _spin(self, timeout: float) -> None:
-        self._executor.spin_once(timeout_sec=timeout)
-
-    def _recorder(self, topic: str) -> Any:
-        def record(message: JointState) -> None:
-            self._answers[topic] += 1
-            stamp = read_time(message.header.stamp)
-            fields = {name: getattr(message, name) for name in ("position", "velocity", "effort")}
-            given = {name: values for name, values in fields.items() if values}
-            copy = write_joint_state(new_message(JOINT_STATE), stamp, message.name, **given)
-            self._bag.write(topic, JOINT_STATE, stamp, copy)
-
-        return record
-
-    def _on_health(self, message: DiagnosticArray) -> None:
-        for health in read_diagnostics(message):
-            if health.name == NODE:
-                self._state, self._health = health.values.get("state", ""), health.message
-
-
-class ReplayError(MbdError):
-    """The replay cannot be what was asked for, or the node failed."""
-
-
-# ---- job --------------------------------------------------------------------------------------
-# A bag through the live node, which runs as its own process: `mbd-ros replay`.
-
-
 UNIT = "N·m or N"
 _STOP_TIMEOUT = 10.0  # [s] until the node must have ended
 _WRENCH_WAIT = 1.0  # s: better a late answer than one without its wrench
 _CLOCK_TOLERANCE = 1e10  # s: recorders and robots may live in different times
-
-
-@dataclass(frozen=True)
-class Replay:
-    """Order of a replay.
-
-    Attributes:
-        bag: Recording to play.
-        scene: Scene of the node.
-        out: Bag of the answers of the node.
-        rate: Speed factor; 0 plays as fast as the node answers.
-        topic: JointState topic of the bag.
-        cutoff: Half-power frequency of the node's derivative filters [Hz].
-    """
-
-    bag: Path
-    scene: Path
-    out: Path
-    rate: float
-    topic: str
-    cutoff: float
 
 
 def replay(
@@ -265,6 +86,27 @@ def replay(
     metadata = metadata_of("replay", scene, {**inputs, "reference": known[1]}, {})
     counts = {"played": played, "answered": answered}
     return Result(found.tables, {**metadata, **found.metadata, **counts, "stamps": "recorded"})
+
+
+@dataclass(frozen=True)
+class Replay:
+    """Order of a replay.
+
+    Attributes:
+        bag: Recording to play.
+        scene: Scene of the node.
+        out: Bag of the answers of the node.
+        rate: Speed factor; 0 plays as fast as the node answers.
+        topic: JointState topic of the bag.
+        cutoff: Half-power frequency of the node's derivative filters [Hz].
+    """
+
+    bag: Path
+    scene: Path
+    out: Path
+    rate: float
+    topic: str
+    cutoff: float
 
 
 def play(replay: Replay) -> tuple[int, int]:
@@ -307,11 +149,14 @@ def _check(replay: Replay) -> None:
         raise ReplayError(f"{replay.out}: the output would replace the bag that is played")
 
 
+class ReplayError(MbdError):
+    """The replay cannot be what was asked for, or the node failed."""
+
+
 def _motion_topics(scene: Scene, topic: str) -> tuple[dict[str, str], dict[str, str]]:
     """Topics of the bag that carry the motion, with their types, and the node's names of them.
 
     Args:
-        scene: The scene.
         topic: Joint states of the only robot; the others are beside it.
     """
     topics, remapped = {}, {}
@@ -337,7 +182,7 @@ def _message(bag: Path, raw: RawMessage) -> Any:
 @contextmanager
 def _node_process(
     replay: Replay, environment: dict[str, str], remapped: dict[str, str]
-) -> Iterator["subprocess.Popen[bytes]"]:
+) -> Iterator[subprocess.Popen[bytes]]:
     parameters = {
         "scene": str(replay.scene.resolve()),
         "use_sim_time": "true",
@@ -494,3 +339,148 @@ def _interpolate(reference: Motion, column: int, stamps: np.ndarray) -> Array:
 
 def _rms(values: Array) -> Array:
     return np.sqrt(np.sum(values**2, axis=0) / max(len(values), 1))
+
+
+class BagPlayer:
+    """Publishes the messages of a bag in their rhythm and records the answers.
+
+    Args:
+        topics: Topics to publish, each with its type.
+        answers: Topics that the node answers every joint state on.
+        bag: Where the answers go.
+
+    Attributes:
+        played: Joint states published.
+    """
+
+    def __init__(
+        self,
+        topics: dict[str, str],
+        answers: Sequence[str],
+        bag: BagWriter,
+        process: subprocess.Popen[bytes],
+    ) -> None:
+        self.played = self._lost = 0
+        self._answers, self._bag, self._process = dict.fromkeys(answers, 0), bag, process
+        self._state = self._health = ""
+        node = rclpy.create_node("mbd_ros_replay")
+        self._publishers = {
+            topic: node.create_publisher(CLASSES[kind], topic, _DEEP)
+            for topic, kind in topics.items()
+        }
+        self._clock = node.create_publisher(Clock, "/clock", 1)
+        self._clock_time = 0
+        self._subscriptions = [
+            node.create_subscription(JointState, topic, self._recorder(topic), _DEEP)
+            for topic in answers
+        ]
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_health, 10)
+        self._executor = EventsExecutor()
+        self._executor.add_node(node)
+
+    @property
+    def answered(self) -> int:
+        """Joint states that were answered on every topic."""
+        return min(self._answers.values())
+
+    def wait_for_node(self) -> None:
+        """Until the node is active, hears every topic and is heard.
+
+        Raises:
+            ReplayError: It does not start, which names the reason, or is not alone.
+        """
+        deadline = time.monotonic() + _START_TIMEOUT
+        while True:
+            self._spin(_PATIENCE)
+            self._check_alone()
+            heard = all(p.get_subscription_count() for p in self._publishers.values())
+            hears = all(s.get_publisher_count() for s in self._subscriptions)
+            if self._state == "active" and heard and hears:
+                return
+            if self._state == "unconfigured" or self._process.poll() is not None:
+                raise ReplayError(f"the node did not start: {self._health or 'it ended'}")
+            if time.monotonic() > deadline:
+                raise ReplayError(f"the node did not start within {_START_TIMEOUT:g} s")
+
+    def play(self, messages: Sequence[tuple[str, int, Any]], topic: str, rate: float) -> None:
+        """Publish everything, then wait for the last answers.
+
+        Args:
+            messages: Topic, log time [ns] and message.
+            topic: The joint states among them.
+            rate: Speed factor; 0 plays as fast as the node answers.
+
+        Raises:
+            ReplayError: The node ends, stops working, answers nothing, or is not alone.
+        """
+        begin, first = time.monotonic(), messages[0][1]
+        for name, log_time, message in progress(messages, len(messages), "replaying"):
+            self._check_node()
+            if rate > 0:
+                self._until(begin + (log_time - first) * 1e-9 / rate)
+            self._publish_clock(log_time)
+            stamp = message.header.stamp
+            if stamp.sec == stamp.nanosec == 0:
+                write_time(stamp, log_time)
+            self._publishers[name].publish(message)
+            self.played += name == topic
+            self._wait_for_answers(_IN_FLIGHT)
+        self._wait_for_answers(0)
+
+    def _check_alone(self) -> None:
+        for subscription in self._subscriptions:
+            if subscription.get_publisher_count() > 1:
+                topic = subscription.topic_name
+                raise ReplayError(f"{topic}: another program publishes it on the same DDS domain")
+
+    def _check_node(self) -> None:
+        self._check_alone()
+        code = self._process.poll()
+        if code is not None or self._state != "active":
+            what = f"is {self._state}" if code is None else f"ended with exit code {code}"
+            raise ReplayError(f"the node {what}: {self._health}")
+
+    def _publish_clock(self, log_time: int) -> None:
+        if log_time - self._clock_time >= _CLOCK_PERIOD or log_time < self._clock_time:
+            self._clock_time = log_time
+            message = Clock()
+            write_time(message.clock, log_time)
+            self._clock.publish(message)
+
+    def _wait_for_answers(self, in_flight: int) -> None:
+        """Wait until at most `in_flight` joint states wait; one that waits too long is lost."""
+        deadline, answered = time.monotonic() + _ANSWER_TIMEOUT, self.answered
+        while self.played - self.answered - self._lost > in_flight:
+            self._spin(_PATIENCE)
+            if self.answered > answered:
+                deadline, answered = time.monotonic() + _ANSWER_TIMEOUT, self.answered
+            elif time.monotonic() > deadline:
+                self._check_node()
+                self._lost = self.played - self.answered
+                if not self.answered:
+                    raise ReplayError(
+                        f"none of {self.played} joint states was answered: {self._health}"
+                    )
+
+    def _until(self, due: float) -> None:
+        while (left := due - time.monotonic()) > 0:
+            self._spin(min(left, _PATIENCE))
+
+    def _spin(self, timeout: float) -> None:
+        self._executor.spin_once(timeout_sec=timeout)
+
+    def _recorder(self, topic: str) -> Any:
+        def record(message: JointState) -> None:
+            self._answers[topic] += 1
+            stamp = read_time(message.header.stamp)
+            fields = {name: getattr(message, name) for name in ("position", "velocity", "effort")}
+            given = {name: values for name, values in fields.items() if values}
+            copy = write_joint_state(new_message(JOINT_STATE), stamp, message.name, **given)
+            self._bag.write(topic, JOINT_STATE, stamp, copy)
+
+        return record
+
+    def _on_health(self, message: DiagnosticArray) -> None:
+        for health in read_diagnostics(message):
+            if health.name == NODE:
+                self._state, self._health = health.values.get("state", ""), health.message

@@ -37,7 +37,7 @@ from mbd_ros.features.sampling.sampled_scene import (
 )
 from mbd_ros.features.sampling.space import HeldSpace, WeightedSpace
 from mbd_ros.features.sampling.task import SampleTask
-from mbd_ros.files.output_file import replacing
+from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import progress
 from mbd_ros.jobs.workers.task import pack, unpack
 
@@ -251,7 +251,6 @@ class Plan(NamedTuple):
 
     Attributes:
         method: `metropolis` or `langevin`.
-        chains: How many.
         samples: Samples a chain.
         warmup: Samples a chain before them, which are not kept.
         steps: Steps between samples.

@@ -156,7 +156,6 @@ def arrives(
         ensemble: Whose rows and walls count.
         start: Configurations, shape (size, walks).
         end: Configurations with the features that are looked for.
-        features: Quantities.
         spread: Their usual size, > 0.
     """
     wanted = np.array([one.value(end) for one in features]) / spread[:, None]

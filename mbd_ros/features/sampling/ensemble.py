@@ -12,22 +12,243 @@ from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import DivergedError
 from mbd_ros.features.sampling.space import Block, Marks, Space, inverse, log_determinant, solve
 
-# ---- manifold ---------------------------------------------------------------------------------
-# Configurations that keep rows: projection of velocities, steps along them, their metric.
-
-
 _CLOSED = 1.0e-13  # of the scale: distance from the rows at which a step ends
 _KEPT = 1.0e-11  # of the scale: what rounding may leave open far from the origin
 _MOST = 12  # corrections of a step
 _APART = 1.0e-5  # of the scale: steps of differences of Jacobians
+_BACK = 1.0e-8  # of the scale: how near a step back has to come
+_VARIED = 0.2  # of the step, so that no motion comes back to its start
+
+
+class Ensemble:
+    """exp(-H / kT) of configurations that keep rows and of velocities along them.
+
+    Args:
+        kT: Thermal energy, in the unit of its energies, > 0.
+        fixman: Whether 1/2 kT ln det J M^-1 J' is added to the potential: configurations are then
+            those of very stiff springs in place of the rows. Source: M. Fixman, PNAS 71, 1974,
+            3050.
+    """
+
+    def __init__(self, space: Space, kT: float, *, fixman: bool = False) -> None:
+        self.space = space
+        self.kT = kT
+        self.fixman = fixman
+        self.manifold = Manifold(space)
+        self._mass = space.mass[:, None]
+        self._spread = np.sqrt(kT / self._mass)
+
+    def energy(self, q: Array, places: list[Place]) -> Array:
+        """Potential with what the density of configurations adds to it, shape (chains,)."""
+        space, energy = self.space, self.space.potential(q)
+        if not space.has_constant_masses:
+            return energy - self.kT * space.volume(q, fixman=self.fixman)
+        if self.fixman:
+            return energy + 0.5 * self.kT * self.manifold.log_gram(places)
+        return energy
+
+    def force(self, q: Array, places: list[Place]) -> Array:
+        """The negative gradient of `energy`, where masses are constant, shape (size, chains)."""
+        force = self.space.force(q)
+        if self.fixman and self.space.has_constant_masses:
+            force = force - self.kT * self.manifold.log_gradient(places, q)
+        return force
+
+    def kinetic(self, v: Array) -> Array:
+        """Kinetic energy of the velocities that are drawn, shape (chains,)."""
+        energy: Array = 0.5 * (self._mass * v * v).sum(axis=0)
+        return energy
+
+    def drawn(self, random: np.random.Generator, places: list[Place], chains: int) -> Array:
+        """Velocities at random, shape (size, chains)."""
+        v = self._spread * random.standard_normal((self.space.size, chains))
+        return self.manifold.project(places, v)
+
+    def at(self, q: Array, v: Array) -> Walkers:
+        """States of chains; velocities are along the rows already."""
+        places = self.manifold.at(q)
+        whole = np.ones(q.shape[1], dtype=np.bool_)
+        return Walkers(q, v, places, self.force(q, places), whole)
+
+    def kick(self, at: Walkers, h: float) -> Walkers:
+        """Forces for a time; velocities stay along the rows."""
+        v = self.manifold.project(at.places, at.v + (h / self._mass) * at.force)
+        return at._replace(v=v)
+
+    def move(self, at: Walkers, h: float) -> Walkers:
+        """A step along the rows without forces: to q + h v - D s, where the rows are closed."""
+        q, whole = self.manifold.close(at.places, at.q + h * at.v)
+        places, v = self.manifold.at(q), (q - at.q) / h
+        return Walkers(q, self.manifold.project(places, v), places, at.force, at.whole & whole)
+
+    def step(self, at: Walkers, h: float) -> tuple[Walkers, Array]:
+        """A step of RATTLE, and its velocity before the last projection, as SHAKE leaves it.
+
+        Source: H. C. Andersen, J. Comput. Phys. 52, 1983, 24.
+        """
+        q, whole = self.manifold.close(
+            at.places, at.q + h * (at.v + (0.5 * h / self._mass) * at.force)
+        )
+        places = self.manifold.at(q)
+        force = self.force(q, places)
+        v = (q - at.q) / h + (0.5 * h / self._mass) * force
+        now = Walkers(q, self.manifold.project(places, v), places, force, at.whole & whole)
+        return now, v
+
+
+class Place(NamedTuple):
+    """Rows at configurations.
+
+    Attributes:
+        J: Their Jacobian, shape (m, size, n).
+        D: M^-1 J', as (m, size, n).
+        A: J M^-1 J', shape (m, m, n).
+    """
+
+    J: Array
+    D: Array
+    A: Array
+
+
+class Metropolis:
+    """New velocities, some steps of RATTLE, and a decision.
+
+    A step counts only where the step back leads to its start: the equations for the multipliers
+    may have several solutions, and one that the step back does not find would make the sample
+    wrong.
+
+    Sources: E. Zappa, M. Holmes-Cerfon, J. Goodman, Comm. Pure Appl. Math. 71, 2018, 2609;
+    T. Lelievre, M. Rousset, G. Stoltz, Numer. Math. 143, 2019, 379.
+    """
+
+    def __init__(self, ensemble: Ensemble, dt: float) -> None:
+        self._ensemble = ensemble
+        self.dt = dt
+
+    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
+        """One proposal for every chain.
+
+        Args:
+            at: States of the chains.
+            random: Of this sweep.
+            steps: Steps of RATTLE.
+
+        Returns:
+            States with new velocities, and which proposals were accepted, shape (chains,).
+        """
+        ensemble, chains = self._ensemble, at.q.shape[1]
+        h = self.dt * random.uniform(1.0 - _VARIED, 1.0 + _VARIED)
+        at = at._replace(v=ensemble.drawn(random, at.places, chains))
+        chosen = random.random(chains)
+        there = at._replace(whole=np.ones(chains, dtype=np.bool_))
+        with np.errstate(all="ignore"):
+            before = self._total(at)
+            for _ in range(steps):
+                there = self._stepped(there, h)
+            rise = self._total(there) - before
+            accepted: Marks = there.whole & (chosen < np.exp(np.minimum(-rise / ensemble.kT, 0.0)))
+        return _chosen(accepted, there, at), accepted
+
+    def _total(self, at: Walkers) -> Array:
+        total: Array = self._ensemble.energy(at.q, at.places) + self._ensemble.kinetic(at.v)
+        return total
+
+    def _stepped(self, at: Walkers, h: float) -> Walkers:
+        ensemble = self._ensemble
+        there, _ = ensemble.step(at, h)
+        if not ensemble.manifold.parts:
+            return there
+        back = there.q - h * (there.v - (0.5 * h / ensemble.space.mass[:, None]) * there.force)
+        back, whole = ensemble.manifold.close(there.places, back)
+        near = np.abs(back - at.q).max(axis=0) <= _BACK * ensemble.space.scale
+        return there._replace(whole=there.whole & whole & near)
+
+
+def _chosen(taken: Marks, there: Walkers, here: Walkers) -> Walkers:
+    """The states of `there` for some chains, those of `here` for the others."""
+    places = [
+        type(a)(*(_taken(taken, *pair) for pair in zip(a, b, strict=True)))
+        for a, b in zip(there.places, here.places, strict=True)
+    ]
+    q, v, force = (
+        np.where(taken, a, b)
+        for a, b in ((there.q, here.q), (there.v, here.v), (there.force, here.force))
+    )
+    return Walkers(q, v, places, force, np.ones(len(taken), dtype=np.bool_))
+
+
+def _taken(taken: Marks, there: Array, here: Array) -> Array:
+    copies = there.shape[-1] // len(taken)
+    return np.where(np.tile(taken, copies), there, here)
+
+
+class Langevin:
+    """The splitting g-BAOAB: kick, move, friction and noise, move, kick.
+
+    Its configurations have an error of second order in dt; velocities of every step are along the
+    rows.
+
+    Source: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 2016, 20160138.
+
+    Args:
+        ensemble: The ensemble; masses of its space are constant.
+        friction: Rate at which velocities are forgotten, >= 0.
+    """
+
+    def __init__(self, ensemble: Ensemble, dt: float, friction: float) -> None:
+        self._ensemble = ensemble
+        self.dt = dt
+        self._kept = exp(-friction * dt)
+        self._new = sqrt(1.0 - self._kept**2)
+
+    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
+        """Some steps.
+
+        Args:
+            at: States of the chains.
+            random: Of this sweep.
+
+        Returns:
+            States, and which of them were accepted: all, shape (chains,).
+
+        Raises:
+            DivergedError: A step does not end on the rows.
+        """
+        ensemble, h = self._ensemble, self.dt
+        for _ in range(steps):
+            at = ensemble.move(ensemble.kick(at, 0.5 * h), 0.5 * h)
+            noise = ensemble.drawn(random, at.places, at.q.shape[1])
+            at = ensemble.move(at._replace(v=self._kept * at.v + self._new * noise), 0.5 * h)
+            at = at._replace(force=ensemble.force(at.q, at.places))
+            at = ensemble.kick(at, 0.5 * h)
+            if not at.whole.all():
+                raise DivergedError(
+                    f"langevin: no step of {h:g} ends on the rows in {(~at.whole).sum()} of "
+                    f"{at.whole.size} chains; try a smaller dt, or the method metropolis"
+                )
+        return at, at.whole
+
+
+class Walkers(NamedTuple):
+    """States of chains and what is known there.
+
+    Attributes:
+        q: Configurations, shape (size, chains).
+        v: Velocities with J v = 0.
+        places: Rows at q.
+        force: On the coordinates at q.
+        whole: Which chains are there: a step that has not ended on the rows is not, (chains,).
+    """
+
+    q: Array
+    v: Array
+    places: list[Place]
+    force: Array
+    whole: Marks
 
 
 class Manifold:
-    """All configurations of a space that keep its rows.
-
-    Attributes:
-        parts: Its blocks.
-    """
+    """All configurations of a space that keep its rows."""
 
     def __init__(self, space: Space) -> None:
         self.space = space
@@ -151,246 +372,6 @@ class BlockRows:
         ahead, behind = self.block.jacobian(x + step * w), self.block.jacobian(x - step * w)
         change: Array = (ahead - behind) / (2.0 * step)
         return change
-
-
-class Place(NamedTuple):
-    """Rows at configurations.
-
-    Attributes:
-        J: Their Jacobian, shape (m, size, n).
-        D: M^-1 J', as (m, size, n).
-        A: J M^-1 J', shape (m, m, n).
-    """
-
-    J: Array
-    D: Array
-    A: Array
-
-
-# ---- ensemble ---------------------------------------------------------------------------------
-# The canonical ensemble of a space: Langevin and Metropolis steps.
-
-
-_BACK = 1.0e-8  # of the scale: how near a step back has to come
-_VARIED = 0.2  # of the step, so that no motion comes back to its start
-
-
-class Ensemble:
-    """exp(-H / kT) of configurations that keep rows and of velocities along them.
-
-    Args:
-        kT: Thermal energy, in the unit of its energies, > 0.
-        fixman: Whether 1/2 kT ln det J M^-1 J' is added to the potential: configurations are then
-            those of very stiff springs in place of the rows. Source: M. Fixman, PNAS 71, 1974,
-            3050.
-    """
-
-    def __init__(self, space: Space, kT: float, *, fixman: bool = False) -> None:
-        self.space = space
-        self.kT = kT
-        self.fixman = fixman
-        self.manifold = Manifold(space)
-        self._mass = space.mass[:, None]
-        self._spread = np.sqrt(kT / self._mass)
-
-    def energy(self, q: Array, places: list[Place]) -> Array:
-        """Potential with what the density of configurations adds to it, shape (chains,)."""
-        space, energy = self.space, self.space.potential(q)
-        if not space.has_constant_masses:
-            return energy - self.kT * space.volume(q, fixman=self.fixman)
-        if self.fixman:
-            return energy + 0.5 * self.kT * self.manifold.log_gram(places)
-        return energy
-
-    def force(self, q: Array, places: list[Place]) -> Array:
-        """The negative gradient of `energy`, where masses are constant, shape (size, chains)."""
-        force = self.space.force(q)
-        if self.fixman and self.space.has_constant_masses:
-            force = force - self.kT * self.manifold.log_gradient(places, q)
-        return force
-
-    def kinetic(self, v: Array) -> Array:
-        """Kinetic energy of the velocities that are drawn, shape (chains,)."""
-        energy: Array = 0.5 * (self._mass * v * v).sum(axis=0)
-        return energy
-
-    def drawn(self, random: np.random.Generator, places: list[Place], chains: int) -> Array:
-        """Velocities at random, shape (size, chains)."""
-        v = self._spread * random.standard_normal((self.space.size, chains))
-        return self.manifold.project(places, v)
-
-    def at(self, q: Array, v: Array) -> Walkers:
-        """States of chains; velocities are along the rows already."""
-        places = self.manifold.at(q)
-        whole = np.ones(q.shape[1], dtype=np.bool_)
-        return Walkers(q, v, places, self.force(q, places), whole)
-
-    def kick(self, at: Walkers, h: float) -> Walkers:
-        """Forces for a time; velocities stay along the rows."""
-        v = self.manifold.project(at.places, at.v + (h / self._mass) * at.force)
-        return at._replace(v=v)
-
-    def move(self, at: Walkers, h: float) -> Walkers:
-        """A step along the rows without forces: to q + h v - D s, where the rows are closed."""
-        q, whole = self.manifold.close(at.places, at.q + h * at.v)
-        places, v = self.manifold.at(q), (q - at.q) / h
-        return Walkers(q, self.manifold.project(places, v), places, at.force, at.whole & whole)
-
-    def step(self, at: Walkers, h: float) -> tuple[Walkers, Array]:
-        """A step of RATTLE, and its velocity before the last projection, as SHAKE leaves it.
-
-        Source: H. C. Andersen, J. Comput. Phys. 52, 1983, 24.
-        """
-        q, whole = self.manifold.close(
-            at.places, at.q + h * (at.v + (0.5 * h / self._mass) * at.force)
-        )
-        places = self.manifold.at(q)
-        force = self.force(q, places)
-        v = (q - at.q) / h + (0.5 * h / self._mass) * force
-        now = Walkers(q, self.manifold.project(places, v), places, force, at.whole & whole)
-        return now, v
-
-
-class Walkers(NamedTuple):
-    """States of chains and what is known there.
-
-    Attributes:
-        q: Configurations, shape (size, chains).
-        v: Velocities with J v = 0.
-        places: Rows at q.
-        force: On the coordinates at q.
-        whole: Which chains are there: a step that has not ended on the rows is not, (chains,).
-    """
-
-    q: Array
-    v: Array
-    places: list[Place]
-    force: Array
-    whole: Marks
-
-
-class Metropolis:
-    """New velocities, some steps of RATTLE, and a decision.
-
-    A step counts only where the step back leads to its start: the equations for the multipliers
-    may have several solutions, and one that the step back does not find would make the sample
-    wrong.
-
-    Sources: E. Zappa, M. Holmes-Cerfon, J. Goodman, Comm. Pure Appl. Math. 71, 2018, 2609;
-    T. Lelievre, M. Rousset, G. Stoltz, Numer. Math. 143, 2019, 379.
-
-    Args:
-        dt: Step.
-    """
-
-    def __init__(self, ensemble: Ensemble, dt: float) -> None:
-        self._ensemble = ensemble
-        self.dt = dt
-
-    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
-        """One proposal for every chain.
-
-        Args:
-            at: States of the chains.
-            random: Of this sweep.
-            steps: Steps of RATTLE.
-
-        Returns:
-            States with new velocities, and which proposals were accepted, shape (chains,).
-        """
-        ensemble, chains = self._ensemble, at.q.shape[1]
-        h = self.dt * random.uniform(1.0 - _VARIED, 1.0 + _VARIED)
-        at = at._replace(v=ensemble.drawn(random, at.places, chains))
-        chosen = random.random(chains)
-        there = at._replace(whole=np.ones(chains, dtype=np.bool_))
-        with np.errstate(all="ignore"):
-            before = self._total(at)
-            for _ in range(steps):
-                there = self._stepped(there, h)
-            rise = self._total(there) - before
-            accepted: Marks = there.whole & (chosen < np.exp(np.minimum(-rise / ensemble.kT, 0.0)))
-        return _chosen(accepted, there, at), accepted
-
-    def _total(self, at: Walkers) -> Array:
-        total: Array = self._ensemble.energy(at.q, at.places) + self._ensemble.kinetic(at.v)
-        return total
-
-    def _stepped(self, at: Walkers, h: float) -> Walkers:
-        ensemble = self._ensemble
-        there, _ = ensemble.step(at, h)
-        if not ensemble.manifold.parts:
-            return there
-        back = there.q - h * (there.v - (0.5 * h / ensemble.space.mass[:, None]) * there.force)
-        back, whole = ensemble.manifold.close(there.places, back)
-        near = np.abs(back - at.q).max(axis=0) <= _BACK * ensemble.space.scale
-        return there._replace(whole=there.whole & whole & near)
-
-
-def _chosen(taken: Marks, there: Walkers, here: Walkers) -> Walkers:
-    """The states of `there` for some chains, those of `here` for the others."""
-    places = [
-        type(a)(*(_taken(taken, *pair) for pair in zip(a, b, strict=True)))
-        for a, b in zip(there.places, here.places, strict=True)
-    ]
-    q, v, force = (
-        np.where(taken, a, b)
-        for a, b in ((there.q, here.q), (there.v, here.v), (there.force, here.force))
-    )
-    return Walkers(q, v, places, force, np.ones(len(taken), dtype=np.bool_))
-
-
-def _taken(taken: Marks, there: Array, here: Array) -> Array:
-    copies = there.shape[-1] // len(taken)
-    return np.where(np.tile(taken, copies), there, here)
-
-
-class Langevin:
-    """The splitting g-BAOAB: kick, move, friction and noise, move, kick.
-
-    Its configurations have an error of second order in dt; velocities of every step are along the
-    rows.
-
-    Source: B. Leimkuhler, C. Matthews, Proc. R. Soc. A 472, 2016, 20160138.
-
-    Args:
-        ensemble: The ensemble; masses of its space are constant.
-        dt: Step.
-        friction: Rate at which velocities are forgotten, >= 0.
-    """
-
-    def __init__(self, ensemble: Ensemble, dt: float, friction: float) -> None:
-        self._ensemble = ensemble
-        self.dt = dt
-        self._kept = exp(-friction * dt)
-        self._new = sqrt(1.0 - self._kept**2)
-
-    def sweep(self, at: Walkers, random: np.random.Generator, steps: int) -> tuple[Walkers, Marks]:
-        """Some steps.
-
-        Args:
-            at: States of the chains.
-            random: Of this sweep.
-            steps: How many.
-
-        Returns:
-            States, and which of them were accepted: all, shape (chains,).
-
-        Raises:
-            DivergedError: A step does not end on the rows.
-        """
-        ensemble, h = self._ensemble, self.dt
-        for _ in range(steps):
-            at = ensemble.move(ensemble.kick(at, 0.5 * h), 0.5 * h)
-            noise = ensemble.drawn(random, at.places, at.q.shape[1])
-            at = ensemble.move(at._replace(v=self._kept * at.v + self._new * noise), 0.5 * h)
-            at = at._replace(force=ensemble.force(at.q, at.places))
-            at = ensemble.kick(at, 0.5 * h)
-            if not at.whole.all():
-                raise DivergedError(
-                    f"langevin: no step of {h:g} ends on the rows in {(~at.whole).sum()} of "
-                    f"{at.whole.size} chains; try a smaller dt, or the method metropolis"
-                )
-        return at, at.whole
 
 
 def degrees_of_freedom(space: Space, q: Array, conserved: int = 0) -> int:

@@ -1,5 +1,7 @@
 """Ensembles of a scene: `mbd-ros sample`."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -8,7 +10,6 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, DivergedError, SceneError
-from mbd_ros.features.sampling import tables
 from mbd_ros.features.sampling.chains import (
     Asked,
     Order,
@@ -25,15 +26,18 @@ from mbd_ros.features.sampling.components import components
 from mbd_ros.features.sampling.ensemble import degrees_of_freedom
 from mbd_ros.features.sampling.mean_force import (
     Average,
+    Histogram,
+    MeanForce,
+    Profile,
     average,
     free_energy,
     histogram,
     mean_force,
 )
-from mbd_ros.features.sampling.task import SampleTask, sample_task
+from mbd_ros.features.sampling.task import HISTOGRAM, PROFILE, SampleTask, sample_task
 from mbd_ros.files.formats import PICTURES, format_of, suffix_of
-from mbd_ros.files.output_file import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, Result
+from mbd_ros.files.table import MAIN, Column, Result, Table
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.jobs.result_files import write_tables
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
@@ -42,6 +46,16 @@ from mbd_ros.motion.recordings import metadata_of
 from mbd_ros.scene.reader import load_any
 from mbd_ros.scene.task_reader import read_task
 
+AVERAGES = "averages"
+CHAINS = "chains"
+_AVERAGE = (  # columns of an average, and whether they have the unit of the quantity
+    ("mean", True),
+    ("standard_error", True),
+    ("standard_deviation", True),
+    ("autocorrelation_time", False),
+    ("effective_samples", False),
+    ("split_rhat", False),
+)
 _APART = 1.05  # split R-hat above which chains are said not to agree
 _BINS = 20
 _FEW = 100  # effective samples
@@ -164,8 +178,55 @@ def _profile(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
             f"{one.force.error:.2g}, free energy {energy:.6g} +- {error:.2g} "
             f"({one.force.effective:.0f} effective samples)"
         )
-    table = tables.profile_table(coordinate.name, units, forces, profile)
-    return {MAIN: table, tables.PROFILE: table}
+    table = profile_table(coordinate.name, units, forces, profile)
+    return {MAIN: table, PROFILE: table}
+
+
+def blocks_done(
+    asked: Asked, orders: Sequence[Order], workers: int | None, scheduler: str | None
+) -> list[Sampled]:
+    """Blocks of chains, in the order of `orders`, here or by workers.
+
+    Raises:
+        DataError: A worker has failed.
+        MbdError: A step does not end on the rows, or a held value cannot be reached.
+    """
+    scene = asked.scene
+    alone = scene.path is None or getattr(scene, "code", False) or len(orders) < 2
+    if alone or (workers == 1 and scheduler is None):
+        return [asked.done(order) for order in orders]
+    entries = _entries(asked.task)
+    tasks = [
+        Task(str(i), f"{__name__}:do", {"scene": str(scene.path), "task": entries} | _sent(order))
+        for i, order in enumerate(orders)
+    ]
+    with open_workers(scheduler, workers) as opened:
+        done = {t.name: r for t, r in watched(do_all(opened, tasks), tasks, opened.count)}
+    for task in tasks:
+        failure = done[task.name].failure
+        if failure:
+            raise _failed(failure)
+    return [unpacked_block(done[task.name].value) for task in tasks]
+
+
+def _entries(task: SampleTask) -> dict[str, Any]:
+    entries = {key: value for key, value in vars(task).items() if value is not None}
+    entries["observe"], entries["histograms"] = dict(task.observe), {}
+    entries["at"] = list(task.at)
+    if task.coordinate is None:
+        del entries["at"]
+    return entries
+
+
+def _sent(order: Order) -> dict[str, Any]:
+    start = None if order.start is None else packed_checkpoint(order.start)
+    return {"number": order.number, "level": order.level, "start": start}
+
+
+def _failed(failure: str) -> Exception:
+    kind, _, text = failure.partition(": ")
+    kinds = {"DivergedError": DivergedError, "SceneError": SceneError}
+    return kinds[kind](text.rpartition(" (")[0]) if kind in kinds else DataError(failure)
 
 
 def _ensemble(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
@@ -182,14 +243,14 @@ def _ensemble(asked: Asked, say: Say, where: Where) -> dict[str, Any]:
     for line in _average_lines(averages, units, asked):
         say(line)
     found = {
-        MAIN: tables.sample_table(values, names, units),
-        tables.AVERAGES: tables.average_table(averages, units),
-        tables.CHAINS: tables.chain_table(accepted),
+        MAIN: sample_table(values, names, units),
+        AVERAGES: average_table(averages, units),
+        CHAINS: chain_table(accepted),
     }
     by_name = dict(zip(names, units, strict=True))
     for name, x, edges in _binned(asked, names, values):
-        table = tables.histogram_table(histogram(x, edges), by_name[name])
-        found[tables.HISTOGRAM + name] = table
+        table = histogram_table(histogram(x, edges), by_name[name])
+        found[HISTOGRAM + name] = table
     return found
 
 
@@ -224,6 +285,11 @@ def _average_lines(
         )
 
 
+def chain_table(accepted: Array) -> Table:
+    """Chains, a row each."""
+    return Table([Column("chain", np.arange(1, len(accepted) + 1)), Column("accepted", accepted)])
+
+
 def _binned(
     asked: Asked, names: Sequence[str], values: Array
 ) -> Iterator[tuple[str, Array, Array]]:
@@ -239,16 +305,6 @@ def _binned(
         x = by_name[one.name]
         if not given and np.ptp(x) > 0.0:
             yield one.name, x, np.linspace(float(x.min()), float(x.max()), _BINS + 1)
-
-
-def task_of(scene: Any, task: str | Path | Mapping[str, Any]) -> tuple[SampleTask, str]:
-    """The task of a file or of keys, and its name for messages."""
-    if not isinstance(task, str | Path):
-        return sample_task(dict(task), "sample"), "sample"
-    parts = read_task(task, scene).parts
-    if "sample" not in parts:
-        raise SceneError(f"{task}: has no section sample")
-    return parts["sample"], f"{task}: sample"
 
 
 def sample_to(
@@ -302,51 +358,81 @@ def _entries_of(scene: Any, task: Path | None) -> dict[str, Any]:
     return dict(entries["sample"])
 
 
-def blocks_done(
-    asked: Asked, orders: Sequence[Order], workers: int | None, scheduler: str | None
-) -> list[Sampled]:
-    """Blocks of chains, in the order of `orders`, here or by workers.
+def task_of(scene: Any, task: str | Path | Mapping[str, Any]) -> tuple[SampleTask, str]:
+    """The task of a file or of keys, and its name for messages."""
+    if not isinstance(task, str | Path):
+        return sample_task(dict(task), "sample"), "sample"
+    parts = read_task(task, scene).parts
+    if "sample" not in parts:
+        raise SceneError(f"{task}: has no section sample")
+    return parts["sample"], f"{task}: sample"
 
-    Raises:
-        DataError: A worker has failed.
-        MbdError: A step does not end on the rows, or a held value cannot be reached.
+
+def sample_table(values: Array, names: Sequence[str], units: Sequence[str]) -> Table:
+    """All samples, chain by chain.
+
+    Args:
+        values: Shape (quantities, chains, samples).
     """
-    scene = asked.scene
-    alone = scene.path is None or getattr(scene, "code", False) or len(orders) < 2
-    if alone or (workers == 1 and scheduler is None):
-        return [asked.done(order) for order in orders]
-    entries = _entries(asked.task)
-    tasks = [
-        Task(str(i), f"{__name__}:do", {"scene": str(scene.path), "task": entries} | _sent(order))
-        for i, order in enumerate(orders)
+    _, chains, samples = values.shape
+    columns = [
+        Column("chain", np.repeat(np.arange(1, chains + 1), samples)),
+        Column("sample", np.tile(np.arange(1, samples + 1), chains)),
     ]
-    with open_workers(scheduler, workers) as opened:
-        done = {t.name: r for t, r in watched(do_all(opened, tasks), tasks, opened.count)}
-    for task in tasks:
-        failure = done[task.name].failure
-        if failure:
-            raise _failed(failure)
-    return [unpacked_block(done[task.name].value) for task in tasks]
+    pairs = zip(names, units, values, strict=True)
+    return Table([*columns, *(Column(n, v.ravel(), unit) for n, unit, v in pairs)])
 
 
-def _entries(task: SampleTask) -> dict[str, Any]:
-    entries = {key: value for key, value in vars(task).items() if value is not None}
-    entries["observe"], entries["histograms"] = dict(task.observe), {}
-    entries["at"] = list(task.at)
-    if task.coordinate is None:
-        del entries["at"]
-    return entries
+def average_table(found: Mapping[str, Average], units: Sequence[str]) -> Table:
+    """Averages in one row: `<quantity>.mean`, `.standard_error`, .."""
+    columns = []
+    for (name, one), unit in zip(found.items(), units, strict=True):
+        for value, (word, has_unit) in zip(one, _AVERAGE, strict=True):
+            columns.append(Column(f"{name}.{word}", np.array([value]), unit if has_unit else ""))
+    return Table(columns)
 
 
-def _sent(order: Order) -> dict[str, Any]:
-    start = None if order.start is None else packed_checkpoint(order.start)
-    return {"number": order.number, "level": order.level, "start": start}
+def histogram_table(found: Histogram, unit: str) -> Table:
+    """Shares of samples, a row a bin."""
+    return Table(
+        [
+            Column("low", found.edges[:-1], unit),
+            Column("high", found.edges[1:], unit),
+            Column("share", found.shares),
+            Column("standard_error", found.errors),
+        ]
+    )
 
 
-def _failed(failure: str) -> Exception:
-    kind, _, text = failure.partition(": ")
-    kinds = {"DivergedError": DivergedError, "SceneError": SceneError}
-    return kinds[kind](text.rpartition(" (")[0]) if kind in kinds else DataError(failure)
+def profile_table(
+    name: str, units: tuple[str, str], forces: Sequence[MeanForce], profile: Profile
+) -> Table:
+    """Mean force and free energy, a row a value of the coordinate.
+
+    Args:
+        name: Of the coordinate.
+        units: Of the coordinate and of energies.
+        forces: At its values.
+        profile: Free energy there.
+    """
+    slope = f"{units[1]}/({units[0]})" if units[0] else units[1]
+
+    def of(kind: str, field: str) -> Array:
+        return np.array([getattr(getattr(one, kind), field) for one in forces])
+
+    return Table(
+        [
+            Column(name, np.array([one.level for one in forces]), units[0]),
+            Column("mean_force", of("force", "mean"), slope),
+            Column("mean_force.standard_error", of("force", "error"), slope),
+            Column("effective_samples", of("force", "effective")),
+            Column("split_rhat", of("force", "rhat")),
+            Column("multiplier", of("multiplier", "mean"), slope),
+            Column("multiplier.standard_error", of("multiplier", "error"), slope),
+            Column("free_energy", profile.energy, units[1]),
+            Column("free_energy.standard_error", profile.errors, units[1]),
+        ]
+    )
 
 
 def do(sent: Mapping[str, Any]) -> dict[str, Any]:

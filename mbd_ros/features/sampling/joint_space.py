@@ -28,11 +28,9 @@ class JointSpace:
 
     Attributes:
         names: Of the coordinates.
-        size: How many.
         mass: Of the velocities that are drawn.
         blocks: The loops, one block.
         scale: 1 rad or m.
-        has_constant_masses: False.
     """
 
     has_constant_masses = False
@@ -119,7 +117,6 @@ class JointRows:
     Attributes:
         coordinates: None: all of them.
         copies: 1.
-        rows: Names.
     """
 
     coordinates = None

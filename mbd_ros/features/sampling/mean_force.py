@@ -61,7 +61,6 @@ def instant(held: Ensemble, at: Walkers, gradient: Array, *, fixman: bool) -> In
 
     Args:
         held: The ensemble, without Fixman's potential: weights take care of it.
-        at: Its states.
         gradient: Of the potential energy there, shape (size, chains).
         fixman: Whether the other rows are the limit of stiff springs.
     """
@@ -101,7 +100,6 @@ class Instant(NamedTuple):
     Attributes:
         weight: w, shape (chains,).
         multiplier: lam_xi; where velocities are averaged over, its mean over them.
-        correction: kT G.
     """
 
     weight: Array

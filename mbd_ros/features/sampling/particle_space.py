@@ -26,7 +26,6 @@ class ParticleSpace:
         mass: Of every coordinate.
         blocks: Rows a kind.
         scale: Usual distance of the points of a molecule.
-        has_constant_masses: True.
     """
 
     has_constant_masses = True
@@ -121,7 +120,6 @@ class MoleculeRows:
     """Rows of a kind of molecules; those that others imply are left out.
 
     Args:
-        kind: The molecules.
         first: Number of their first coordinate.
 
     Attributes:
@@ -193,7 +191,6 @@ def kinetic_parts(masses: Array, x: Array, v: Array) -> Array:
     Args:
         masses: Shape (atoms,).
         x: Positions, shape (atoms, 3, n).
-        v: Velocities.
     """
     m, total = masses[:, None, None], float(masses.sum())
     V = (m * v).sum(axis=0) / total

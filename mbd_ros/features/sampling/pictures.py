@@ -6,7 +6,7 @@ from typing import Any
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from mbd_ros.errors import DataError
-from mbd_ros.features.sampling.tables import HISTOGRAM, PROFILE
+from mbd_ros.features.sampling.task import HISTOGRAM, PROFILE
 from mbd_ros.files.plot import Picture
 from mbd_ros.files.table import Result, Table
 

@@ -50,7 +50,6 @@ class SampledScene:
 
     Attributes:
         name: Of the scene, for messages.
-        space: Its configurations.
         start: A configuration on the rows, shape (size,).
         boltzmann: Boltzmann's constant in its units.
         energy: Word for its unit of energy.

@@ -21,7 +21,6 @@ class Space(Protocol):
 
     Attributes:
         names: Of the coordinates.
-        size: How many.
         mass: Of the velocities that are drawn, shape (size,).
         blocks: Rows that all configurations keep, in blocks that share no coordinate.
         scale: A length that is usual, in the unit of the coordinates.
@@ -46,7 +45,6 @@ class Space(Protocol):
         """Logarithm of the density at V = 0, relative to that of `mass`, shape (chains,).
 
         Args:
-            q: Configurations.
             fixman: Whether rows are the limit of stiff springs.
         """
 
@@ -82,7 +80,6 @@ class HeldSpace:
 
     Args:
         space: The space, with constant masses.
-        held: The quantity.
     """
 
     has_constant_masses = True
@@ -101,13 +98,9 @@ class HeldSpace:
 class HeldRows:
     """All rows of a space and, last, that of the held quantity.
 
-    Args:
-        held: The quantity.
-
     Attributes:
         coordinates: None: all of them.
         copies: 1.
-        rows: Names.
     """
 
     coordinates = None

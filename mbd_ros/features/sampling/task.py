@@ -13,6 +13,8 @@ Count = Annotated[int, Within(1, 100_000_000)]
 Chains = Annotated[int, Within(2, 1_000_000)]
 Seed = Annotated[int, Within(0, 2**63 - 1)]
 
+HISTOGRAM, PROFILE = "histogram.", "profile"  # tables of a result; a quantity follows the first
+
 
 @dataclass(frozen=True)
 class SampleTask:
@@ -23,7 +25,6 @@ class SampleTask:
         thermal_energy: kT, in place of it, in the unit of energy of the scene [J].
         method: `metropolis` is exact up to the error of sampling, `langevin` has an error that
             falls with the square of dt.
-        chains: How many.
         samples: Samples a chain.
         warmup: Samples a chain before them, which are not kept.
         steps: Steps between samples; None: 5 of particles, 20 of mechanisms.
@@ -38,7 +39,6 @@ class SampleTask:
         observe: Quantities by name: `distance a b`, `cosine a b c`, .., or a joint.
         histograms: Bins of quantities: [low, high, number].
         coordinate: Quantity along which the mean force is asked for.
-        at: Its values.
     """
 
     temperature: NotNegative | None = None

@@ -14,7 +14,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TINY, TOGGLE_RISE
 from mbd_ros.errors import SolveError
 from mbd_ros.files.table import Column, Table
-from mbd_ros.methods.events.event import Event
+from mbd_ros.methods.events.step_events import Event
 from mbd_ros.methods.integration.linear_motion import (
     LinearMotion,
     is_bounded,

@@ -16,9 +16,9 @@ from mbd_ros.features.simulation.job import Interrupted
 from mbd_ros.features.simulation.run import Run, check_words
 from mbd_ros.files.body_columns import POSE, TWIST, names_of
 from mbd_ros.files.formats import is_bag
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, RUN, TIME, Column, Result, Table
 from mbd_ros.files.tables.csv import Numbers, read_table
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.progress import Say
 from mbd_ros.jobs.workers.opening import do_all, open_workers
 from mbd_ros.jobs.workers.task import Result as Done
@@ -228,7 +228,6 @@ class Starts(NamedTuple):
     Attributes:
         names: Names of the parameters.
         q: Configurations of all joints.
-        v: Their velocities.
         z: Internal states, NaN for their equilibrium.
     """
 

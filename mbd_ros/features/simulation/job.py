@@ -1,5 +1,7 @@
 """Forward simulation of a scene: `mbd-ros simulate`."""
 
+from __future__ import annotations
+
 import math
 import sys
 import time
@@ -10,7 +12,8 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.complementarity.contact_problem import Residuals
-from mbd_ros.core.dynamics.system import phase_names
+from mbd_ros.core.contracts import without_multiplier
+from mbd_ros.core.dynamics.system import System, phase_names
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.ranges import SHORTEST_DT
 from mbd_ros.core.state import Array, State
@@ -22,7 +25,6 @@ from mbd_ros.features.simulation.checks import (
     window_words,
     with_residuals,
 )
-from mbd_ros.features.simulation.events import EVENTS, event_table
 from mbd_ros.features.simulation.run import (
     Run,
     check_stamps,
@@ -32,19 +34,24 @@ from mbd_ros.features.simulation.run import (
     options_of,
 )
 from mbd_ros.files.formats import FOLDER, format_of, suffix_of
-from mbd_ros.files.output_file import check_place, refuse_overwriting
-from mbd_ros.files.table import MAIN, TIME, Result, Table
+from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, announce, watching
 from mbd_ros.jobs.progress import progress as shown
+from mbd_ros.methods.events.step_events import Event
 from mbd_ros.methods.integration.stepping import BlockStepper
 from mbd_ros.methods.simulation.simulation import Simulation
+from mbd_ros.motion.columns import body_columns, joint_columns, whole_bodies
 from mbd_ros.motion.recordings import Source, metadata_of
-from mbd_ros.motion.state_table import BALANCE, table_of, topics_of
+from mbd_ros.motion.state_table import BALANCE, PHASE, table_of, topics_of
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.start_check import fiber_warnings, start_warnings
 from mbd_ros.scene.runs.simulation import build_simulation
 
+EVENTS = "events"  # the table, and the last word of the topic
+CONTACTS = "contacts"
+SIDES = ("before", "after")
 _HANDED_OVER = "compiled ones do not take rows near dependence, nor states that are not finite"
 
 
@@ -150,22 +157,6 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     return result
 
 
-class Interrupted(MbdError):
-    """A simulation that ended early.
-
-    Attributes:
-        result: The motion so far; None once it is in a file.
-        exit_code: Of the command line.
-    """
-
-    exit_code = FAILED
-    result: Result | None = None
-
-
-class _CtrlC(MbdError):
-    """Ctrl-C, as the reason why a simulation ended."""
-
-
 def _interval(scene: Scene, run: Run) -> float:
     """Interval of the output [s]; no longer than the simulation."""
     return min(float(run.options.get("dt", scene.dt)), run.duration)
@@ -211,6 +202,10 @@ def _warn(text: str) -> None:
     sys.stderr.flush()
 
 
+class _CtrlC(MbdError):
+    """Ctrl-C, as the reason why a simulation ended."""
+
+
 def _say_windows(scene: Scene, simulation: Simulation, states: Sequence[State], say: Say) -> None:
     """Say what is to be said of contacts that give way, also where the motion diverged."""
     parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
@@ -238,12 +233,72 @@ def _ended(scene: Scene, result: Result, failure: MbdError) -> Result:
     raise early from failure
 
 
+class Interrupted(MbdError):
+    """A simulation that ended early.
+
+    Attributes:
+        result: The motion so far; None once it is in a file.
+        exit_code: Of the command line.
+    """
+
+    exit_code = FAILED
+    result: Result | None = None
+
+
+def simulate_to(scene: Scene, run: Run, out: Path, say: Say, events: Path | None = None) -> None:
+    """Simulate and write the result.
+
+    Args:
+        out: Its suffix chooses the format.
+        say: Is called with each line of the summary.
+        events: Where the table of events goes by itself.
+
+    Raises:
+        Interrupted: The simulation ended early, by Ctrl-C too; the states so far are in the file
+            of `diverged_place`, named in the message.
+        MbdError: Input that cannot be used, or a place that cannot be written to.
+    """
+    places = [out] if events is None else [out, events]
+    sources = [source for source in (run.origin, run.efforts, run.wrenches) if source is not None]
+    for place in (*places, *map(diverged_place, places)):
+        refuse_overwriting(place, *(s for s in sources if isinstance(s, Path)))
+    check_stamps(scene, run, out)
+    for place in places:
+        check_place(place)
+    if events is not None:
+        _check_events(scene, run, events, out)
+    write_result(places, lambda: run_simulation(scene, run, say), say)
+
+
+def diverged_place(out: Path) -> Path:
+    """Where a run that ended early is kept: o.csv.gz -> o.diverged.csv.gz, bag -> bag_diverged.
+
+    Raises:
+        DataError: No format has the suffix of `out`.
+    """
+    suffix = suffix_of(out)
+    if suffix == FOLDER:
+        return out.parent / f"{out.name.replace('.', '_')}_diverged"
+    return out.with_name(f"{out.name.removesuffix(suffix)}.diverged{suffix}")
+
+
+def _check_events(scene: Scene, run: Run, events: Path, out: Path) -> None:
+    """Refuse a file of events that cannot be.
+
+    Raises:
+        DataError: It is that of the motion, or nothing in the scene has events.
+    """
+    if events.resolve() == out.resolve():
+        raise DataError(f"--events {events}: is -o, choose another name")
+    if not build_simulation(scene, **run.options).guards:
+        raise DataError(f"--events: nothing in {scene.name} happens at one time, such as impacts")
+
+
 def summary(simulation: Simulation, table: Table, wall: float, evaluations: int) -> Iterator[str]:
     """Lines on the steps that were taken, their cost, and what they kept.
 
     Args:
         simulation: After its run.
-        table: The samples.
         wall: Time that the run took [s].
         evaluations: How often accelerations were computed.
     """
@@ -274,31 +329,6 @@ def summary(simulation: Simulation, table: Table, wall: float, evaluations: int)
         yield f"QP: {s.solves} solves, {s.cold} cold, {s.damped} damped, {s.failed} failed"
 
 
-def simulate_to(scene: Scene, run: Run, out: Path, say: Say, events: Path | None = None) -> None:
-    """Simulate and write the result.
-
-    Args:
-        out: Its suffix chooses the format.
-        say: Is called with each line of the summary.
-        events: Where the table of events goes by itself.
-
-    Raises:
-        Interrupted: The simulation ended early, by Ctrl-C too; the states so far are in the file
-            of `diverged_place`, named in the message.
-        MbdError: Input that cannot be used, or a place that cannot be written to.
-    """
-    places = [out] if events is None else [out, events]
-    sources = [source for source in (run.origin, run.efforts, run.wrenches) if source is not None]
-    for place in (*places, *map(diverged_place, places)):
-        refuse_overwriting(place, *(s for s in sources if isinstance(s, Path)))
-    check_stamps(scene, run, out)
-    for place in places:
-        check_place(place)
-    if events is not None:
-        _check_events(scene, run, events, out)
-    write_result(places, lambda: run_simulation(scene, run, say), say)
-
-
 def write_result(places: Sequence[Path], simulation: Callable[[], Result], say: Say) -> None:
     """Write the result of a simulation; where it ends early, the motion so far.
 
@@ -323,6 +353,15 @@ def write_result(places: Sequence[Path], simulation: Callable[[], Result], say: 
         say(text)
 
 
+def _kept(places: Sequence[Path], result: Result) -> str:
+    """Write the motion so far; a failure must not hide why the run ended."""
+    try:
+        texts = list(_written(result, *map(diverged_place, places)))
+    except DataError as error:
+        return f"the states so far are lost: {error}"
+    return ", ".join(text.replace(" -> ", " so far are in ") for text in texts)
+
+
 def _written(result: Result, out: Path, events: Path | None = None) -> Iterator[str]:
     """Write the files; a text for each."""
     result.to(out)
@@ -333,34 +372,77 @@ def _written(result: Result, out: Path, events: Path | None = None) -> Iterator[
         yield f"{result[EVENTS].rows} events -> {events}"
 
 
-def _kept(places: Sequence[Path], result: Result) -> str:
-    """Write the motion so far; a failure must not hide why the run ended."""
-    try:
-        texts = list(_written(result, *map(diverged_place, places)))
-    except DataError as error:
-        return f"the states so far are lost: {error}"
-    return ", ".join(text.replace(" -> ", " so far are in ") for text in texts)
+def event_table(simulation: Simulation, events: Sequence[Event]) -> Table:
+    """A row an event.
 
+    Args:
+        simulation: What was simulated.
 
-def diverged_place(out: Path) -> Path:
-    """Where a run that ended early is kept: o.csv.gz -> o.diverged.csv.gz, bag -> bag_diverged.
-
-    Raises:
-        DataError: No format has the suffix of `out`.
+    Returns:
+        `time`; `<guard>.event`, whether that guard was zero; `<row>.impulse`; with contacts
+        `contacts.restitution_share`, what of their restitution was given back; `energy.before`,
+        `energy.after`, `energy.lost`; `<joint>.position.before` and so on; in a scene with phases
+        `phase.before` and `phase.after`, their numbers in the order of the scene, from 0 on;
+        `<switch>.mode.before` and after: 0 while a row or surface is on, 1 or -1 beside it.
     """
-    suffix = suffix_of(out)
-    if suffix == FOLDER:
-        return out.parent / f"{out.name.replace('.', '_')}_diverged"
-    return out.with_name(f"{out.name.removesuffix(suffix)}.diverged{suffix}")
+    system, rows = simulation.system, simulation.system.multiplier_rows
+    impulses = np.array([event.impulse for event in events]).reshape(len(events), len(rows))
+    columns = [
+        Column(TIME, np.array([event.t for event in events], dtype=np.float64), "s"),
+        *(Column(f"{name}.event", _hit(events, name)) for name in simulation.guards),
+        *(
+            Column(f"{without_multiplier(row.name)}.impulse", values, f"{row.unit}·s")
+            for row, values in zip(rows, impulses.T, strict=True)
+        ),
+    ]
+    if system.layout.cones:
+        shares = np.array([event.share for event in events], dtype=np.float64)
+        columns.append(Column(f"{CONTACTS}.restitution_share", shares))
+    sides = [[getattr(event, side) for event in events] for side in SIDES]
+    for side, states in zip(SIDES, sides, strict=True):
+        energy = [system.energy(system.reduce(x)) for x in states]
+        columns.append(Column(f"energy.{side}", np.array(energy, dtype=np.float64), "J"))
+    columns.append(Column("energy.lost", columns[-2].values - columns[-1].values, "J"))
+    for side, states in zip(SIDES, sides, strict=True):
+        named = (c._replace(name=f"{c.name}.{side}") for c in _state_columns(system, states))
+        columns.extend(named)
+    for side, states in zip(SIDES, sides, strict=True):
+        modes = np.array([x.mode for x in states], dtype=np.float64)
+        modes = modes.reshape(len(events), len(simulation.switches))
+        if phase_names(system):
+            columns.append(Column(f"{PHASE}.{side}", modes[:, 0]))
+        pairs = list(zip(simulation.switches, modes.T, strict=True))[bool(phase_names(system)) :]
+        columns.extend(Column(f"{name}.mode.{side}", values) for name, values in pairs)
+        columns.extend(_contact_states(simulation, modes, side))
+    return Table(columns)
 
 
-def _check_events(scene: Scene, run: Run, events: Path, out: Path) -> None:
-    """Refuse a file of events that cannot be.
+def _hit(events: Sequence[Event], guard: str) -> Array:
+    return np.array([guard in event.guards for event in events], dtype=np.float64)
 
-    Raises:
-        DataError: It is that of the motion, or nothing in the scene has events.
-    """
-    if events.resolve() == out.resolve():
-        raise DataError(f"--events {events}: is -o, choose another name")
-    if not build_simulation(scene, **run.options).guards:
-        raise DataError(f"--events: nothing in {scene.name} happens at one time, such as impacts")
+
+def _state_columns(system: System, states: Sequence[State]) -> list[Column]:
+    """Motion of joints and free bodies, and internal states."""
+    joints, model = system.robot.joints, system.model
+    q = np.array([x.q for x in states]).reshape(len(states), model.nq)
+    v = np.array([x.v for x in states]).reshape(len(states), model.nv)
+    z = np.array([x.z for x in states]).reshape(len(states), system.internals.nz)
+    internals = zip(system.internals.names, z.T, system.internals.units, strict=True)
+    return [
+        *joint_columns(joints, "position", q[:, [joint.q for joint in joints]]),
+        *joint_columns(joints, "velocity", v[:, [joint.v for joint in joints]]),
+        *body_columns(system.robot, whole_bodies(system.robot, q, v, None)),
+        *(Column(*internal) for internal in internals),
+    ]
+
+
+def _contact_states(simulation: Simulation, modes: Array, side: str) -> Iterator[Column]:
+    """What the modes of contacts mean, as contacts show it: 0 open, 1 slip, 2 stick."""
+    for cone in simulation.system.layout.cones:
+        if cone.name in simulation.switches:
+            first = simulation.switches.index(cone.name)
+            normal, *tangents = modes[:, first : first + 3].T
+            state = np.where(normal != 0, 0.0, np.where(np.any(tangents, axis=0), 1.0, 2.0))
+            part, _, row = cone.name.rpartition(".")
+            name = "_".join(filter(None, ("state", row.removesuffix("normal").rstrip("_"))))
+            yield Column(f"{part}.{name}.{side}", state)

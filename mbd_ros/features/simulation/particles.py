@@ -15,8 +15,8 @@ from mbd_ros.errors import OK, DataError, DivergedError, MbdError
 from mbd_ros.features.simulation.job import Interrupted, diverged_place, write_result
 from mbd_ros.features.simulation.run import MOST_ROWS
 from mbd_ros.files.formats import format_of, is_bag, suffix_of
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, say, watching
 from mbd_ros.jobs.progress import progress as shown
 from mbd_ros.methods.particles.particle_system import ParticleSystem

@@ -34,8 +34,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
     from mbd_ros.files.formats import PICTURES
-    from mbd_ros.files.output_file import refuse_overwriting
     from mbd_ros.files.table import read_result
+    from mbd_ros.files.text_file import refuse_overwriting
 
     refuse_overwriting(arguments.out, arguments.result)
     result = read_result(arguments.result)

@@ -77,7 +77,6 @@ class RawMessage(NamedTuple):
     """One message as it was recorded.
 
     Attributes:
-        topic: Topic name.
         msgtype: As `sensor_msgs/msg/JointState`.
         log_time: When the recorder received it [ns].
         cdr: Serialised message with its encapsulation header.

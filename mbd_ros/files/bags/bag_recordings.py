@@ -290,7 +290,6 @@ class MotionBlocks:
     """Pieces of the motion of a bag; together they are what `read_motion` gives.
 
     Args:
-        topic: JointState topic.
         joints: Names, in the order of the columns.
         needed: Those that must have a finite position.
 

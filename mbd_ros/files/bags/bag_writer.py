@@ -32,15 +32,12 @@ from mbd_ros.files.bag_paths import MARK, check_target
 from mbd_ros.files.bags.bag_types import TYPES, to_cdr
 from mbd_ros.files.bags.mcap_chunks import CHUNK, FRAME, MESSAGE, MESSAGE_INDEX, RECORD, put_pieces
 
-# ---- bag writer -------------------------------------------------------------------------------
-# rosbag2 recordings written whole or not at all, one message or many of several topics at once.
-
-
 _CHUNK_BYTES = 2**20  # bytes after which rosbags ends a chunk
 _NEVER = 2**63 - 1
 _INSERTED = 32  # messages a statement of sqlite3, which costs more than a message
 _SHOWN = 40  # characters of a name in that of a temporary folder: names end at 255 bytes
 PLUGINS = {".mcap": StoragePlugin.MCAP, ".db3": StoragePlugin.SQLITE3}
+_IN_MEMORY = 2**24  # bytes that need no file
 
 
 @final
@@ -258,16 +255,6 @@ def _ends_of_chunks(ends: NDArray[np.int64]) -> list[int]:
     return found
 
 
-def _within(
-    index: Mapping[int, NDArray[np.int64]], begin: int, end: int
-) -> Iterator[tuple[int, NDArray[np.int64]]]:
-    """Channels and entries of the messages of a chunk."""
-    for channel, entries in index.items():
-        first, last = np.searchsorted(entries[:, 1], (begin, end))
-        if last > first:
-            yield channel, entries[first:last] - (0, begin)
-
-
 def _write_chunk(
     storage: McapWriter, data: NDArray[np.uint8], index: Sequence[tuple[int, NDArray[np.int64]]]
 ) -> None:
@@ -292,11 +279,14 @@ def _write_chunk(
     storage.chunks.append(about)
 
 
-# ---- spool ------------------------------------------------------------------------------------
-# Rows of numbers that wait for those who read some of them, many in a file.
-
-
-_IN_MEMORY = 2**24  # bytes that need no file
+def _within(
+    index: Mapping[int, NDArray[np.int64]], begin: int, end: int
+) -> Iterator[tuple[int, NDArray[np.int64]]]:
+    """Channels and entries of the messages of a chunk."""
+    for channel, entries in index.items():
+        first, last = np.searchsorted(entries[:, 1], (begin, end))
+        if last > first:
+            yield channel, entries[first:last] - (0, begin)
 
 
 class Spool:

@@ -11,9 +11,8 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
 from mbd_ros.files.laboratory.markers import GROUND, MARKERS, METRES, RATE, SCREEN
 from mbd_ros.files.laboratory.trc import Trc
-from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
-from mbd_ros.files.text_file import reading
+from mbd_ros.files.text_file import reading, replacing
 
 PLATES = "wrenches"  # table of the force plates
 _NO_MARKERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")  # modelled, among the points

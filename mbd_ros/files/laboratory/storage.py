@@ -16,7 +16,6 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
-from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
 from mbd_ros.files.tables.description import column_of, describe, described
 from mbd_ros.files.text_file import (
@@ -27,6 +26,7 @@ from mbd_ros.files.text_file import (
     numbers_of,
     reading,
     repeated_among,
+    replacing,
 )
 
 _OURS = "mbd_ros"
@@ -140,7 +140,6 @@ class _Header(NamedTuple):
     """What stands above the labels.
 
     Attributes:
-        name: First line.
         keys: Of lines `key=value` or, in old files, `key value`, in small letters.
         lines: How many there are.
         is_simm: Whether it is of the old kind, whose rotations are in degrees.

@@ -13,9 +13,8 @@ import numpy as np
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.laboratory.markers import GROUND, MARKERS, METRES, RATE
-from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
-from mbd_ros.files.text_file import MAX_CELLS, Lines, cell_number, check_times, reading
+from mbd_ros.files.text_file import MAX_CELLS, Lines, cell_number, check_times, reading, replacing
 
 _HEADER = 5  # lines
 _AXES = "XYZ"

@@ -12,9 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, RUN, STAMP, TIME, Column, Result, Table
-from mbd_ros.files.text_file import MAX_CELLS, MAX_COLUMNS, Lines, reading, repeated_among
+from mbd_ros.files.text_file import (
+    MAX_CELLS,
+    MAX_COLUMNS,
+    Lines,
+    reading,
+    repeated_among,
+    replacing,
+)
 
 NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 # Besides digits only the letters of "nan" pass: float() would take inf, 1_000 and foreign digits.

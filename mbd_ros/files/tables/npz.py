@@ -8,9 +8,9 @@ from typing import Any, BinaryIO, cast
 import numpy as np
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.files.tables.description import column_of, describe, described
+from mbd_ros.files.text_file import replacing
 
 _DESCRIPTION = "description.json"
 _LARGEST = 8_000_000_000  # bytes unpacked

@@ -6,9 +6,9 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.errors import DataError, install_hint
-from mbd_ros.files.output_file import replacing
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.tables.description import column_of, describe, described
+from mbd_ros.files.text_file import replacing
 
 _KEY = b"mbd_ros"
 

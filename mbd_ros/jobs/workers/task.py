@@ -1,5 +1,7 @@
 """A piece of work that may be done anywhere, and its result."""
 
+from __future__ import annotations
+
 import base64
 import importlib
 import json
@@ -16,15 +18,11 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 
-# ---- task -------------------------------------------------------------------------------------
-# A piece of work that may be done anywhere, and its result.
-
 
 class Task(NamedTuple):
     """A call of one function, independent of all others.
 
     Attributes:
-        name: For people.
         call: `module:function` of one argument.
         argument: Its argument; any value that JSON holds.
         seconds: About how long it takes.
@@ -70,10 +68,6 @@ def do(task: Task) -> Result:
     return Result(value, seconds=time.perf_counter() - begin, cpu=cpu())
 
 
-def nothing(_: Mapping[str, Any]) -> None:
-    """Do nothing; the result names the processor of a worker."""
-
-
 @cache
 def cpu() -> str:
     """Name of the processor."""
@@ -83,10 +77,6 @@ def cpu() -> str:
             if line.startswith("model name"):
                 return line.partition(":")[2].strip()
     return platform.processor() or platform.machine()
-
-
-# ---- arrays -----------------------------------------------------------------------------------
-# Arrays as JSON holds them, to the bit: what goes to workers and comes back.
 
 
 def pack(values: Array) -> list[Any]:
@@ -99,3 +89,7 @@ def unpack(packed: Sequence[Any]) -> Array:
     """The array that `pack` was given."""
     shape, data = packed
     return np.frombuffer(base64.b64decode(data), dtype="<f8").reshape(shape).copy()
+
+
+def nothing(_: Mapping[str, Any]) -> None:
+    """Do nothing; the result names the processor of a worker."""

@@ -104,9 +104,7 @@ class ControlledJoints:
         names: Controlled joints, in the order of efforts and references.
 
     Attributes:
-        names: As given.
         joints: Their descriptions, with limits.
-        system: As given.
         newest: The last result of `response`; None before the first.
 
     Raises:

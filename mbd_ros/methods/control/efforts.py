@@ -231,7 +231,6 @@ class AccelerationBox(NamedTuple):
 
     Attributes:
         lower: [rad/s^2 or m/s^2], shape (k,).
-        upper: Same.
         position_below: Whether the lower one is of the position limit, not of the velocity limit.
         position_above: Same of the upper one.
     """

@@ -26,7 +26,6 @@ def sliding_variable(r: Response, ref: Reference, bandwidth: Array) -> tuple[Arr
     With |s| <= w the error settles within |e| <= w / lambda and |e'| <= 2 w.
 
     Args:
-        r: The joints.
         ref: Where they should be.
         bandwidth: lambda [1/s], > 0, shape (n,).
 

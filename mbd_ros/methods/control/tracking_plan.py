@@ -35,12 +35,6 @@ class TrackingPlan:
         cost: S of the cost to go e'S e, shape (n, 2 d, 2 d).
         level: Cost to go within which motions return to the plan; 0 where nobody has looked.
 
-    Attributes:
-        joints: As given.
-        inputs: As given.
-        times: As given.
-        level: As given.
-
     Raises:
         ModelError: Shapes that do not belong together, or what is not finite.
     """

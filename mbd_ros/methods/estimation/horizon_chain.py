@@ -38,7 +38,6 @@ class HorizonChain:
     """Solves the windows of a horizon with a prior.
 
     Args:
-        process: The process.
         lower: Smallest disturbances, shape (nw,).
         upper: Largest disturbances, shape (nw,).
 
@@ -183,7 +182,6 @@ class Node:
         u: Inputs after it.
         going: To the next node, linearised at x; None at the end.
         seen: Linearised at x.
-        bounded: At x.
         link: What a chain knows of it.
     """
 
@@ -262,7 +260,6 @@ class Arrival(NamedTuple):
     """What is known of the first node before its measurements.
 
     Attributes:
-        x: Mean.
         P: Covariance, shape (n, n); None where nothing is known.
     """
 
@@ -300,7 +297,6 @@ def sweep(
 
     Args:
         nodes: Of the window.
-        links: Theirs.
         first: Prior mean of the first step, shape (n,) or (n, k).
         pushes: Multipliers h and nu by node, shape (n, k) and (nw, k); None without any.
     """
@@ -342,8 +338,6 @@ class Responses:
 
     Args:
         nodes: Of the window.
-        links: Theirs.
-        bounds: Their rows.
         free: Steps and disturbances where no row acts.
     """
 
@@ -420,7 +414,6 @@ def exchanged(bounds: WindowBounds, known: Responses, sides: Sides) -> tuple[Sid
     Source: C. L. Lawson, R. J. Hanson, Solving Least Squares Problems, 1974, ch. 23.
 
     Args:
-        bounds: The rows.
         known: What their multipliers do.
         sides: Rows that act, as far as one can guess.
 
@@ -475,7 +468,6 @@ class WindowBounds:
         shape: Nodes, and rows of each.
         exist: Which rows there are and count, of that shape.
         are_equal: Which rows have one bound on both sides, flat.
-        lower_w: As given.
     """
 
     def __init__(self, nodes: Sequence[Node], lower: Array, upper: Array) -> None:
@@ -583,7 +575,6 @@ class WindowBounds:
         """What rows change by, shape (rows, k).
 
         Args:
-            rows: Flat.
             steps: Of the nodes, shape (count, n, k).
             w: Of disturbances, shape (count - 1, nw, k).
         """

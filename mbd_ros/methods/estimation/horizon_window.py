@@ -37,7 +37,6 @@ class HorizonProgram:
     """Builds and solves the quadratic program of a window.
 
     Args:
-        process: The process.
         lower: Smallest disturbances, shape (nw,).
         upper: Largest disturbances, shape (nw,).
     """

@@ -32,7 +32,6 @@ class KalmanFilter(Estimator):
     Control 38(2) (1993).
 
     Args:
-        process: The process.
         iterations: Linearisations a measurement.
 
     Attributes:
@@ -163,7 +162,6 @@ class Filtered(NamedTuple):
     Attributes:
         F: Derivative of `predicted` by the estimate of the sample before; None for the first one.
         predicted: Before the measurement.
-        belief: After it.
     """
 
     F: Array | None

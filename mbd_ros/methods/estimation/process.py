@@ -238,11 +238,7 @@ class Bounded(NamedTuple):
 class Estimator:
     """Follows a process by measurements: `begin`, then `predict` and `correct` in turn.
 
-    Args:
-        process: The process.
-
     Attributes:
-        process: As given.
         belief: The newest one.
         is_late: Whether there is no time for more than the least; who asks sets it.
     """
@@ -331,13 +327,10 @@ class SensorSet:
     """Sensors of a mechanism, one below the other.
 
     Args:
-        sensors: The sensors.
-        system: The system.
         evaluate: As that of the system, which it is by default; what depends on accelerations
             asks it.
 
     Attributes:
-        sensors: As given.
         m: Numbers in all.
         slices: Where each stands.
         names: `<sensor>`, or `<sensor>.<component>`, in the same order.

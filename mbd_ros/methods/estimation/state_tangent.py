@@ -40,11 +40,9 @@ class StateTangent:
     Its size is that of the start: a mechanism whose rows lose rank there has no such tangent.
 
     Args:
-        system: The system.
         y: A consistent state of what it integrates.
 
     Attributes:
-        system: As given.
         n: Size of a step.
         levels: 0 for its parts d_q, 1 for d_v, 2 for d_z, shape (n,).
         is_whole: Whether there are no rows, so that all steps are allowed.

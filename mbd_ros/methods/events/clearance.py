@@ -31,7 +31,6 @@ class Clearance:
     as they are: that makes the path longer.
 
     Args:
-        system: The system.
         dt: Length of a full step [s].
 
     Attributes:
@@ -122,10 +121,6 @@ def _contact_room(system: System, blocks: list[RowBlock]) -> ContactRoom | None:
 
 class ContactRoom:
     """The room of the contacts of a system; has a `Data` of its own.
-
-    Args:
-        system: The system.
-        parts: Its contacts.
 
     Attributes:
         is_known: Whether it is known how fast all gaps change at most.

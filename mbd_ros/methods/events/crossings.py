@@ -39,17 +39,12 @@ class Crossing(Protocol):
 
         Args:
             k: Kinematics there, refreshed as far as `reads` says.
-            x: The state.
             lam: Multipliers of all rows of the phase, shape (m,).
         """
 
 
 class Gap(NamedTuple):
-    """The least distance of the bodies of a contact [m].
-
-    Attributes:
-        contact: The contact.
-    """
+    """The least distance of the bodies of a contact [m]."""
 
     contact: Any
     reads: Reads = Reads.POSITION
@@ -64,7 +59,6 @@ class Force(NamedTuple):
 
     Attributes:
         slots: Of the multipliers among those of the phase.
-        at: The level.
     """
 
     slots: Sequence[int]
@@ -108,7 +102,6 @@ class Footing(NamedTuple):
     Sardain, G. Bessonnet, IEEE Trans. Systems, Man, Cybernetics A 34, 2004, 630-637.
 
     Attributes:
-        contact: The contact.
         normals: Slots of the normal forces among the multipliers of the phase, one a feature.
     """
 
@@ -168,7 +161,6 @@ class Combination(NamedTuple):
     Attributes:
         q: Indices of the joints in a configuration, shape (n,).
         factors: One a joint, shape (n,).
-        at: The level.
     """
 
     q: NDArray[np.intp]
@@ -232,7 +224,6 @@ def narrowed(
     """A shorter bracket of a change of sign, by two arguments of f; the same where they miss it.
 
     Args:
-        f: The function.
         like: One that is nearly the same and costs less; asked before f.
         near: An argument and f there, > 0.
         far: Another one, with f < 0.
@@ -259,9 +250,6 @@ def narrowed(
 
 class PartGuards:
     """The guards of all parts of a system.
-
-    Args:
-        system: The system.
 
     Attributes:
         names: `<part>.<guard>`, in the order of the scene.

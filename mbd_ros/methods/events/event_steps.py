@@ -15,9 +15,8 @@ from mbd_ros.core.nonsmooth.impact_map import Impact, ImpactMap
 from mbd_ros.core.state import Array, Memory, Mode, State
 from mbd_ros.errors import JammedError, SolveError
 from mbd_ros.methods.events.clearance import Clearance
-from mbd_ros.methods.events.event import Event, EventLog
 from mbd_ros.methods.events.mode_field import Margin, ModeField, decided
-from mbd_ros.methods.events.step_events import StepEvents
+from mbd_ros.methods.events.step_events import Event, EventLog, StepEvents
 from mbd_ros.methods.integration.stepping import Stepper
 
 _APPROACH = 1.0e-6  # of the velocity: an approach that shows which way friction pushes
@@ -61,7 +60,6 @@ class Pace(NamedTuple):
             t: Its time [s].
             short: Time that is short [s].
             switches: How many switches there are.
-            names: What happens.
             hits: Whether it is an impact.
 
         Raises:
@@ -94,9 +92,6 @@ class EventSteps(Stepper):
         field: The system in its modes.
         inner: Steps of that system.
         dt: Step of a fixed-step method, and interval of the output [s].
-
-    Attributes:
-        field: As given.
     """
 
     kept = ("_last", "_u", "_followed")
@@ -152,7 +147,6 @@ class EventSteps(Stepper):
 
         Args:
             x: State to start from, in its mode.
-            u: Inputs.
             end: As for `step`.
             after: State after the step where it was taken already.
         """
@@ -461,7 +455,6 @@ class Impacts:
     """Impacts of the gaps of one system.
 
     Args:
-        system: The system.
         rows: Its exact rows.
         gaps: Numbers of those that are gaps.
     """
@@ -512,7 +505,6 @@ class Impacts:
 
         Args:
             y: State of what is integrated.
-            u: Inputs.
             slipping: Normals of the contacts that slip.
 
         Raises:
@@ -539,7 +531,6 @@ class Impacts:
 
         Args:
             y: State after an impact.
-            u: Inputs.
             mode: In which it goes on otherwise.
         """
         rows, found = self._rows, list[Rest]()

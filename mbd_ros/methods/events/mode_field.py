@@ -26,13 +26,10 @@ from mbd_ros.methods.events.switching_surfaces import (
 )
 from mbd_ros.methods.projection.assembly import assemble
 
-# ---- mode field -------------------------------------------------------------------------------
-# A system in one mode at a time: rows of exact events, then surfaces of switching forces.
-
-
 _PASSES = 12
 # A switch, and 0 where it is reached; 1 or -1 where it is left in that direction.
 Margin = tuple[int, int]
+_SAME = 1.0e-6  # signs that give the same motion
 
 
 class ModeField:
@@ -42,7 +39,6 @@ class ModeField:
     at mode 0. It leaves in the direction 1 or -1 once its multiplier passes a bound.
 
     Args:
-        system: The system.
         with_surfaces: Whether surfaces of switching forces are switches, too; their forces go by
             the signs of the heights otherwise.
 
@@ -151,7 +147,6 @@ class ModeField:
 
         Args:
             y: State from which it starts.
-            u: Inputs.
             left: Numbers that were zero just now.
         """
         if self.guards.names:
@@ -283,7 +278,6 @@ def inside(system: System, rows: ExactRows, gaps: Sequence[int], y: State) -> St
     squares what is left.
 
     Args:
-        system: The system.
         rows: Its exact rows.
         gaps: Numbers of those that are gaps.
         y: State of what is integrated, on the bilateral rows.
@@ -313,37 +307,72 @@ def inside(system: System, rows: ExactRows, gaps: Sequence[int], y: State) -> St
     )
 
 
-# ---- mode decision ----------------------------------------------------------------------------
-# In which modes switches go on: one complementarity problem an event.
+def decided(field: ModeField, y: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
+    """The modes in which switches go on.
 
+    Args:
+        field: The system in its modes.
+        y: State of what is integrated.
+        on: The switches; the others stay as they are.
 
-_SAME = 1.0e-6  # signs that give the same motion
-
-
-class Together(NamedTuple):
-    """How rows and surfaces answer multipliers lam and signs s.
-
-        w = w0 + A lam + P s,   h' = r + E lam + D s
-
-    Attributes:
-        w0: Shape (m,).
-        A: Shape (m, m).
-        P: Shape (m, k).
-        r: Shape (k,).
-        E: Shape (k, m).
-        D: Shape (k, k).
-        lower: Smallest multipliers, shape (m,).
-        upper: Largest multipliers, shape (m,).
+    Raises:
+        SolveError: There is none, or several.
     """
+    n = field.count
+    rows = sorted(i for i in on if i < n)
+    surfaces = sorted(i - n for i in on if i >= n)
+    ways: tuple[int, ...]
+    if field.surfaces is None or not surfaces:
+        ways = () if field.rows is None else _of_rows(field, field.rows, y, u, rows)
+    elif field.rows is None or not rows:
+        answer = field.surfaces.answer(y, u, surfaces)
+        names = [field.surfaces.names[i] for i in surfaces]
+        ways = mode_on(answer.r[surfaces], answer.D[surfaces], names)
+    else:
+        given = _together(field, y, u, rows, surfaces)
+        of_rows, of_surfaces = modes_of(given, [field.surfaces.names[i] for i in surfaces])
+        ways = (*of_rows, *of_surfaces)
+    return dict(zip([*rows, *(i + n for i in surfaces)], ways, strict=True))
 
-    w0: Array
-    A: Array
-    P: Array
-    r: Array
-    E: Array
-    D: Array
-    lower: Array
-    upper: Array
+
+def _of_rows(
+    field: ModeField, rows: ExactRows, y: State, u: Array | None, chosen: Sequence[int]
+) -> tuple[int, ...]:
+    """Modes of exact rows beside surfaces that stay as they are."""
+    if not chosen:
+        return ()
+    rows.solve(y, u, field.mode, chosen)
+    found = rows.found()
+    return tuple(found[i] for i in chosen)
+
+
+def _together(
+    field: ModeField, y: State, u: Array | None, rows: Sequence[int], surfaces: Sequence[int]
+) -> Together:
+    """How rows and surfaces answer one another, from rows at their lower bounds on."""
+    exact, sliding, mode = field.rows, field.surfaces, field.mode
+    assert exact is not None and sliding is not None
+    if exact.contacts is not None and any(exact.reach[i] is Reach.FRICTION for i in rows):
+        names = ", ".join(field.names[i] for i in (*rows, *(field.count + i for i in surfaces)))
+        raise SolveError(
+            f"{names}: a contact with friction touches where a switching surface is reached; "
+            "accepted: one of them at a time"
+        )
+    field.mode = tuple(1 if i in rows else way for i, way in enumerate(mode))
+    try:
+        answer = sliding.answer(y, u, surfaces)
+        a = sliding.system.lift(y, answer.a)
+        per_sign = [sliding.system.lift(y, answer.a + b) - a for b in answer.B.T]
+        J, b, response = exact.answer(y, u, rows)
+        per_lam = sliding.system.integrated(response).T
+        E = [sliding.rates_at(y, answer.a + more)[surfaces] for more in per_lam]
+    finally:
+        field.mode = mode
+    r, D = answer.r[surfaces], answer.D[surfaces]
+    room = exact.upper[rows] - exact.lower[rows]
+    P = J.dot(np.array(per_sign).T)
+    E_rows = (np.array(E) - r).T
+    return Together(J.dot(a) + b, J.dot(response), P, r, E_rows, D, np.zeros(len(rows)), room)
 
 
 def modes_of(given: Together, names: Sequence[str]) -> tuple[Mode, Mode]:
@@ -413,70 +442,27 @@ def _solved(D: Array, right: Array, slides: Array, names: Sequence[str]) -> Arra
     return np.array(columns).T.reshape(len(on), right.shape[1])
 
 
-def decided(field: ModeField, y: State, u: Array | None, on: Collection[int]) -> dict[int, int]:
-    """The modes in which switches go on.
+class Together(NamedTuple):
+    """How rows and surfaces answer multipliers lam and signs s.
 
-    Args:
-        field: The system in its modes.
-        y: State of what is integrated.
-        u: Inputs.
-        on: The switches; the others stay as they are.
+        w = w0 + A lam + P s,   h' = r + E lam + D s
 
-    Raises:
-        SolveError: There is none, or several.
+    Attributes:
+        w0: Shape (m,).
+        A: Shape (m, m).
+        P: Shape (m, k).
+        r: Shape (k,).
+        E: Shape (k, m).
+        D: Shape (k, k).
+        lower: Smallest multipliers, shape (m,).
+        upper: Largest multipliers, shape (m,).
     """
-    n = field.count
-    rows = sorted(i for i in on if i < n)
-    surfaces = sorted(i - n for i in on if i >= n)
-    ways: tuple[int, ...]
-    if field.surfaces is None or not surfaces:
-        ways = () if field.rows is None else _of_rows(field, field.rows, y, u, rows)
-    elif field.rows is None or not rows:
-        answer = field.surfaces.answer(y, u, surfaces)
-        names = [field.surfaces.names[i] for i in surfaces]
-        ways = mode_on(answer.r[surfaces], answer.D[surfaces], names)
-    else:
-        given = _together(field, y, u, rows, surfaces)
-        of_rows, of_surfaces = modes_of(given, [field.surfaces.names[i] for i in surfaces])
-        ways = (*of_rows, *of_surfaces)
-    return dict(zip([*rows, *(i + n for i in surfaces)], ways, strict=True))
 
-
-def _of_rows(
-    field: ModeField, rows: ExactRows, y: State, u: Array | None, chosen: Sequence[int]
-) -> tuple[int, ...]:
-    """Modes of exact rows beside surfaces that stay as they are."""
-    if not chosen:
-        return ()
-    rows.solve(y, u, field.mode, chosen)
-    found = rows.found()
-    return tuple(found[i] for i in chosen)
-
-
-def _together(
-    field: ModeField, y: State, u: Array | None, rows: Sequence[int], surfaces: Sequence[int]
-) -> Together:
-    """How rows and surfaces answer one another, from rows at their lower bounds on."""
-    exact, sliding, mode = field.rows, field.surfaces, field.mode
-    assert exact is not None and sliding is not None
-    if exact.contacts is not None and any(exact.reach[i] is Reach.FRICTION for i in rows):
-        names = ", ".join(field.names[i] for i in (*rows, *(field.count + i for i in surfaces)))
-        raise SolveError(
-            f"{names}: a contact with friction touches where a switching surface is reached; "
-            "accepted: one of them at a time"
-        )
-    field.mode = tuple(1 if i in rows else way for i, way in enumerate(mode))
-    try:
-        answer = sliding.answer(y, u, surfaces)
-        a = sliding.system.lift(y, answer.a)
-        per_sign = [sliding.system.lift(y, answer.a + b) - a for b in answer.B.T]
-        J, b, response = exact.answer(y, u, rows)
-        per_lam = sliding.system.integrated(response).T
-        E = [sliding.rates_at(y, answer.a + more)[surfaces] for more in per_lam]
-    finally:
-        field.mode = mode
-    r, D = answer.r[surfaces], answer.D[surfaces]
-    room = exact.upper[rows] - exact.lower[rows]
-    P = J.dot(np.array(per_sign).T)
-    E_rows = (np.array(E) - r).T
-    return Together(J.dot(a) + b, J.dot(response), P, r, E_rows, D, np.zeros(len(rows)), room)
+    w0: Array
+    A: Array
+    P: Array
+    r: Array
+    E: Array
+    D: Array
+    lower: Array
+    upper: Array

@@ -19,7 +19,7 @@ from mbd_ros.core.state import Array, Memory, State
 from mbd_ros.core.thresholds import ASSEMBLED
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.events.crossings import Condition, Crossing
-from mbd_ros.methods.events.event import Event, EventLog
+from mbd_ros.methods.events.step_events import Event, EventLog
 from mbd_ros.methods.integration.stepping import Stepper
 
 Slots = NDArray[np.intp]
@@ -73,7 +73,6 @@ class Check(NamedTuple):
     Attributes:
         name: Of its guard.
         contact: Whose number it is.
-        crossing: The number.
         failure: What it means that it does not.
     """
 
@@ -97,11 +96,6 @@ class PhaseReset:
         touching: Slots in that system of contacts that bounce.
         relabelling: Joints under other names; None where they keep theirs.
         demands: Of the impulses of that system.
-
-    Attributes:
-        striking: As given.
-        relabelling: As given.
-        demands: As given.
     """
 
     def __init__(
@@ -156,7 +150,6 @@ class Demand(NamedTuple):
     """What impulses of a contact that is held have to keep.
 
     Attributes:
-        contact: The contact.
         crossing: A number that may not be negative.
         failure: What it means that it is.
     """
@@ -214,7 +207,6 @@ class PhaseGuards(Part):
     Args:
         name: Of the phase.
         exits: Its exits; those by time are none of its guards.
-        checks: Its checks.
     """
 
     def __init__(self, name: str, exits: Sequence[Exit], checks: Sequence[Check]) -> None:

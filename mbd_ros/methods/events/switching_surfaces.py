@@ -54,7 +54,6 @@ class DiscontinuousForce(Load):
 
         Args:
             k: Kinematics at the state.
-            x: State.
             a: Accelerations of all joints [rad/s^2 or m/s^2], shape (nv,).
         """
         raise NotImplementedError
@@ -64,7 +63,6 @@ class DiscontinuousForce(Load):
 
         Args:
             k: Kinematics at the state.
-            x: State.
             signs: One a surface, shape (k,): 1 above it, -1 below.
         """
         raise NotImplementedError
@@ -82,7 +80,6 @@ class OneSide(Load):
     """A switching force that does not switch.
 
     Args:
-        force: The force.
         signs: The side, one sign a surface, shape (k,).
     """
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from itertools import cycle, islice
 from typing import Any
 
@@ -12,7 +12,6 @@ import numpy as np
 from mbd_ros.core.state import NONE, Array, Memory, Mode, State
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.dop853_tableau import DOP853
-from mbd_ros.methods.integration.polynomial import integrals
 from mbd_ros.methods.integration.runge_kutta import RK4, RungeKutta, Tableau
 from mbd_ros.methods.integration.stepping import NEAR, Stepper, clip
 
@@ -227,6 +226,15 @@ class AdamsSteps(Stepper):
             self._last, self._ready = None, after
 
 
+def adams_weights(order: int, dt: float) -> tuple[Array, Array]:
+    """Weights of the accelerations by age in the changes of q and v.
+
+    Integrals of the Lagrange polynomials over the step.
+    """
+    velocity, position = integrals(-np.arange(order, dtype=np.float64), 1.0)
+    return dt * dt * position, dt * velocity
+
+
 def starter(order: int) -> Tableau:
     """The Runge-Kutta method that takes the first steps.
 
@@ -256,10 +264,45 @@ def turns(order: int, nv: int, dt: float) -> tuple[Array, list[tuple[Any, ...]]]
     return B, slots
 
 
-def adams_weights(order: int, dt: float) -> tuple[Array, Array]:
-    """Weights of the accelerations by age in the changes of q and v.
+def integrals(places: Sequence[float] | Array, theta: float) -> tuple[Array, Array]:
+    """Weights of values f_i in the integrals of the polynomial through them, from 0 to theta.
 
-    Integrals of the Lagrange polynomials over the step.
+        int_0^theta f = sum_i once[i] f_i,   int_0^theta int_0^s f = sum_i twice[i] f_i
+
+    Args:
+        places: Where the values are, all different, shape (n,).
+        theta: Where the integrals end.
+
+    Returns:
+        once and twice, shape (n,) each.
     """
-    velocity, position = integrals(-np.arange(order, dtype=np.float64), 1.0)
-    return dt * dt * position, dt * velocity
+    bases = _bases(places)
+    once = np.array([np.polyval(np.polyint(basis), theta) for basis in bases])
+    twice = np.array([np.polyval(np.polyint(basis, 2), theta) for basis in bases])
+    return once, twice
+
+
+def _bases(places: Sequence[float] | Array) -> list[Array]:
+    """The polynomials that are 1 at one place and 0 at the others, highest power first."""
+    found = []
+    for i, place in enumerate(places):
+        basis = np.atleast_1d(np.poly(np.delete(places, i)))
+        found.append(basis / np.polyval(basis, place))
+    return found
+
+
+def powers(places: Sequence[float] | Array) -> tuple[Array, Array]:
+    """The same weights as polynomials of theta.
+
+        once[i] = sum_k first[i, k] theta^(k + 1),   twice[i] = sum_k second[i, k] theta^(k + 2)
+
+    Args:
+        places: Where the values are, all different, shape (n,).
+
+    Returns:
+        first and second, shape (n, n) each.
+    """
+    bases = _bases(places)
+    first = np.array([np.polyint(basis)[-2::-1] for basis in bases])
+    second = np.array([np.polyint(basis, 2)[-3::-1] for basis in bases])
+    return first, second

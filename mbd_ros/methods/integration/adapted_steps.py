@@ -1,5 +1,7 @@
 """Steps of any method whose own states have another form than those of the system."""
 
+from __future__ import annotations
+
 import math
 from typing import Any
 
@@ -7,9 +9,6 @@ from mbd_ros.core.dynamics.internal_dynamics import Extended
 from mbd_ros.core.dynamics.world_axes import InWorldAxes
 from mbd_ros.core.state import Array, Memory, Mode, State, copied, recognised
 from mbd_ros.methods.integration.stepping import Integrator, Stepper
-
-# ---- adapted steps ----------------------------------------------------------------------------
-# Steps of any method whose own states have another form than those of the system.
 
 
 class AdaptedSteps(Stepper):
@@ -100,10 +99,6 @@ class AdaptedSteps(Stepper):
         return x
 
 
-# ---- world axes steps -------------------------------------------------------------------------
-# Steps of any method with velocities of free bodies in the axes of the world.
-
-
 class TurnedSteps(AdaptedSteps):
     """Steps whose states have velocities in the axes of the bodies, as all others.
 
@@ -123,17 +118,12 @@ class TurnedSteps(AdaptedSteps):
         return self._world.turned_back(after)
 
 
-# ---- internal steps ---------------------------------------------------------------------------
-# Steps of any method with internal states.
-
-
 class InternalSteps(AdaptedSteps):
     """Steps in which internal states stand beside velocities, see `Extended`.
 
     They are inside their bounds after every step.
 
     Args:
-        method: The method.
         system: The system, with internal states.
         dt: Length of a step, or first guess [s].
     """

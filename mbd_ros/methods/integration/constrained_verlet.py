@@ -31,7 +31,6 @@ class Configuration:
     """Masses and rows at one configuration, evaluated and factorised once.
 
     Args:
-        system: The system.
         t: Time [s].
         q: Configuration, shape (nq,).
         unit: Unit matrix, shape (m, m).
@@ -66,7 +65,6 @@ class ConstrainedVerlet:
     M^-1 J' mu is written as -lift s, where s [m/s, rad/s] is the correction of g'.
 
     Args:
-        system: The system.
         name: Of the method, for messages.
         tolerance: |g| from which one more correction is the last [m, rad].
     """
@@ -111,8 +109,6 @@ class ConstrainedVerlet:
         """Velocity w of the step and the configuration it leads to.
 
         Args:
-            x: State.
-            u: Commands.
             move: Length of the step and the time it ends at [s].
             kick: [s].
             share: How much of w the velocity in f has.

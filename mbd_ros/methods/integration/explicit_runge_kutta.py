@@ -21,8 +21,8 @@ class ExplicitRungeKutta(Integrator):
     """
 
     tableau: ClassVar[Tableau]
-    dense: ClassVar[bool] = True
-    event_driven: ClassVar[bool] = True
+    dense = True
+    event_driven = True
 
     def __init__(self, *, tolerance: float | None = None) -> None:
         check_tolerance(tolerance)

@@ -1,5 +1,7 @@
 """The motion around a state as a linear one, and the steps that keep it bounded."""
 
+from __future__ import annotations
+
 import math
 from functools import cached_property
 
@@ -10,10 +12,6 @@ from mbd_ros.core.rows.constraint_rows import RowBlock
 from mbd_ros.core.state import Array, State
 from mbd_ros.methods.integration.runge_kutta import Tableau
 from mbd_ros.methods.integration.stepping import Integrator
-
-# ---- linear motion ----------------------------------------------------------------------------
-# The motion around a state as a linear one, and the steps that keep it bounded.
-
 
 _GROWTH = 1.0e-6  # of a step: what rounding adds, and methods that grow slowly
 _SLACK = 1.0e-9  # relative
@@ -26,10 +24,6 @@ class LinearMotion:
     Args:
         stiffness: [1/s^2], shape (n, n).
         damping: [1/s], shape (n, n).
-
-    Attributes:
-        stiffness: As given.
-        damping: As given.
     """
 
     def __init__(self, stiffness: Array, damping: Array) -> None:
@@ -63,7 +57,6 @@ def linear_motion(system: System, x: State) -> LinearMotion:
     rate.
 
     Args:
-        system: The system.
         x: Consistent state of its integrated coordinates.
     """
     full = system.expand(x)
@@ -99,7 +92,6 @@ def longest_step(method: Integrator, motion: LinearMotion, dt: float) -> float:
     """Longest step that lets no mode grow which does not grow by itself [s]; inf if dt does.
 
     Args:
-        method: The method.
         motion: What it integrates.
         dt: Step in question [s].
     """
@@ -119,15 +111,15 @@ def longest_step(method: Integrator, motion: LinearMotion, dt: float) -> float:
     return short
 
 
+def _grows_not(method: Integrator, motion: LinearMotion, dt: float) -> bool:
+    return method.growth(motion, dt) <= motion.growth(dt) * (1.0 + _GROWTH)
+
+
 def is_bounded(method: Integrator, motion: LinearMotion, dt: float) -> bool:
     """Whether a step lets no mode grow which does not grow by itself; arguments as above."""
     if not method.is_explicit or _grows_not(method, motion, dt):
         return True
     return motion.rate * dt <= method.stable * (1.0 + _SLACK)
-
-
-def _grows_not(method: Integrator, motion: LinearMotion, dt: float) -> bool:
-    return method.growth(motion, dt) <= motion.growth(dt) * (1.0 + _GROWTH)
 
 
 def spectral_radius(step: Array) -> float:
@@ -143,7 +135,6 @@ def runge_kutta_growth(tableau: Tableau, motion: LinearMotion, dt: float) -> flo
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II, 1996, IV.2.
 
     Args:
-        tableau: The method.
         motion: What it integrates.
         dt: Length of the step [s].
     """
@@ -155,16 +146,13 @@ def runge_kutta_growth(tableau: Tableau, motion: LinearMotion, dt: float) -> flo
     return float(np.abs(after).max(initial=0.0))
 
 
-# ---- spring motion ----------------------------------------------------------------------------
-# The motion on springs, dampers and bristles: symmetric, and nothing in it grows by itself.
-#
-#     y'' = -K y - C y' - T' k z,   z' = T y'
-#
-# All bristles together are springs of the stiffness T' k T, as z - T y stays what it is.
-
-
 class SpringMotion(LinearMotion):
     """Motion on springs, dampers and bristles; their deflections stand beside velocities.
+
+        y'' = -K y - C y' - T' k z,   z' = T y'
+
+    The motion is symmetric, and nothing in it grows by itself. All bristles together are springs
+    of the stiffness T' k T, as z - T y stays what it is.
 
     Args:
         springs: The K [1/s^2], symmetric, shape (n, n).
@@ -173,8 +161,6 @@ class SpringMotion(LinearMotion):
         bends: The k of each bristle [N/m], shape (m,).
 
     Attributes:
-        springs: As given.
-        dampers: As given.
         bristles: Their T' k T [1/s^2], shape (n, n).
     """
 

@@ -98,8 +98,6 @@ class RungeKutta(Stepper):
     as the first ones of the next step if that starts from the same state with the same inputs.
 
     Args:
-        system: The system.
-        tableau: The method.
         dt: Length of a step [s].
 
     Attributes:
@@ -226,8 +224,6 @@ class AdaptiveRungeKutta(RungeKutta):
     for the two estimates of DOP853; Hairer, Wanner, II, 1996, IV.2 for PI control.
 
     Args:
-        system: The system.
-        tableau: The method.
         dt: Longest first step [s]; later steps may be longer.
         tolerance: Relative and absolute.
     """

@@ -1,5 +1,7 @@
 """Contract of integrators: a method is a value, its stepper owns the workspace."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Collection, Sequence
 from typing import Any, ClassVar, NamedTuple
@@ -7,8 +9,72 @@ from typing import Any, ClassVar, NamedTuple
 from mbd_ros.core.state import Array, Memory, Mode, State, copied, recognised
 from mbd_ros.core.thresholds import SAME_TIME
 
-# ---- stepping ---------------------------------------------------------------------------------
-# Contract of integrators: a method is a value, its stepper owns the workspace.
+NEAR = 1.0 + 1.0e-6  # in dt: no step needs `clip` that starts farther than this from the end
+
+
+class Integrator:
+    """A method of numerical integration.
+
+    Attributes:
+        order: Order of convergence for smooth motion.
+        dense: Whether its steppers can interpolate.
+        keeps_constraints: Whether the method itself keeps the constraints, so that no
+            stabilization acts.
+        keeps_internal: Whether the method moves internal states, as velocities of coordinates
+            that nobody asks for; see `core/dynamics/internal_dynamics.py`.
+        moves_internal: Whether its steppers take states with internal states as they are.
+        is_explicit: Whether stiff forces limit the step.
+        event_driven: Whether its steps can be taken again with another length, so that they end
+            at events; other methods refuse exact rows that give way, and guards.
+        event_steps: What takes its steppers from event to event, called as `EventSteps`; None for
+            that.
+        turns: Whether its steppers turn the velocities of a system in the axes of the world, and
+            back, themselves.
+        at_velocity_level: Whether its steps solve for rows that give way with their rates at the
+            end of the step, impacts included, exact or smoothed, and for internal states.
+        finds_surfaces: Whether surfaces of switching forces are events, too.
+        native: What compiled runs call its steps: `runge_kutta`, which have a `tableau` and may
+            have a `tolerance`, `adams`, `rattle` or `semi_implicit_euler`; empty where they know
+            no such steps.
+        asks: Functions of a compiled scene that its steps in Python gain by, as
+            `compiled/symbols/trace.py` names them; empty where they gain nothing.
+        stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
+            oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
+            where the method chooses its steps.
+    """
+
+    order: int
+    dense: ClassVar[bool] = False
+    keeps_constraints: bool = False
+    keeps_internal: ClassVar[bool] = True
+    moves_internal: ClassVar[bool] = False
+    is_explicit: ClassVar[bool] = True
+    event_driven: bool = False
+    event_steps: Any = None
+    turns: ClassVar[bool] = False
+    at_velocity_level: ClassVar[bool] = False
+    finds_surfaces: bool = False
+    native: str = ""
+    asks: tuple[str, ...] = ()
+    stable: float = 2.5
+
+    @property
+    def title(self) -> str:
+        """What people call it."""
+        return type(self).__name__
+
+    def growth(self, motion: Any, dt: float) -> float:
+        """Factor by which a step multiplies a linear motion at most, inf where it is not known.
+
+        Args:
+            motion: A `linear_motion.LinearMotion`.
+            dt: Length of the step [s].
+        """
+        return math.inf
+
+    def prepare(self, system: Any, dt: float) -> Stepper:
+        """A stepper for one system and one step size [s]."""
+        raise NotImplementedError
 
 
 class Stepper:
@@ -159,78 +225,6 @@ class Stepper:
         return None
 
 
-class Integrator:
-    """A method of numerical integration.
-
-    Attributes:
-        order: Order of convergence for smooth motion.
-        dense: Whether its steppers can interpolate.
-        keeps_constraints: Whether the method itself keeps the constraints, so that no
-            stabilization acts.
-        keeps_internal: Whether the method moves internal states, as velocities of coordinates
-            that nobody asks for; see `core/dynamics/internal_dynamics.py`.
-        moves_internal: Whether its steppers take states with internal states as they are.
-        is_explicit: Whether stiff forces limit the step.
-        event_driven: Whether its steps can be taken again with another length, so that they end
-            at events; other methods refuse exact rows that give way, and guards.
-        event_steps: What takes its steppers from event to event, called as `EventSteps`; None for
-            that.
-        turns: Whether its steppers turn the velocities of a system in the axes of the world, and
-            back, themselves.
-        at_velocity_level: Whether its steps solve for rows that give way with their rates at the
-            end of the step, impacts included, exact or smoothed, and for internal states.
-        finds_surfaces: Whether surfaces of switching forces are events, too.
-        native: What compiled runs call its steps: `runge_kutta`, which have a `tableau` and may
-            have a `tolerance`, `adams`, `rattle` or `semi_implicit_euler`; empty where they know
-            no such steps.
-        asks: Functions of a compiled scene that its steps in Python gain by, as
-            `compiled/symbols/trace.py` names them; empty where they gain nothing.
-        stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
-            oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
-            where the method chooses its steps.
-    """
-
-    order: int
-    dense: ClassVar[bool] = False
-    keeps_constraints: bool = False
-    keeps_internal: ClassVar[bool] = True
-    moves_internal: ClassVar[bool] = False
-    is_explicit: ClassVar[bool] = True
-    event_driven: bool = False
-    event_steps: Any = None
-    turns: ClassVar[bool] = False
-    at_velocity_level: ClassVar[bool] = False
-    finds_surfaces: bool = False
-    native: str = ""
-    asks: tuple[str, ...] = ()
-    stable: float = 2.5
-
-    @property
-    def title(self) -> str:
-        """What people call it."""
-        return type(self).__name__
-
-    def growth(self, motion: Any, dt: float) -> float:
-        """Factor by which a step multiplies a linear motion at most, inf where it is not known.
-
-        Args:
-            motion: A `linear_motion.LinearMotion`.
-            dt: Length of the step [s].
-        """
-        return math.inf
-
-    def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s]."""
-        raise NotImplementedError
-
-
-# ---- step length ------------------------------------------------------------------------------
-# How far a fixed step goes when the end of the simulation is near.
-
-
-NEAR = 1.0 + 1.0e-6  # in dt: no step needs `clip` that starts farther than this from the end
-
-
 def clip(t: float, dt: float, end: float) -> tuple[float, float]:
     """Length of a step of at most dt that does not go beyond `end`, and the time it leads to.
 
@@ -249,38 +243,6 @@ def clip(t: float, dt: float, end: float) -> tuple[float, float]:
     if abs(left - dt) <= SAME_TIME * dt + 4.0 * math.ulp(t):
         return dt, end
     return (left, end) if left < dt else (dt, t + dt)
-
-
-# ---- blocks -----------------------------------------------------------------------------------
-# Samples that a stepper takes many at a time, and the inputs that it needs for that.
-
-
-class HeldTable(NamedTuple):
-    """Inputs that are held from jump to jump.
-
-    Attributes:
-        until: Time at which each row ends, where a step ends too [s], shape (m,).
-        values: The whole u of each, shape (m, nu).
-        now: Time at which each row began [s], shape (m,).
-    """
-
-    until: Array
-    values: Array
-    now: Array
-
-
-class SampleBlock(NamedTuple):
-    """What one call took.
-
-    Attributes:
-        rows: A sample a row: time, positions and velocities of all joints, internal states.
-        intervals: Rows of the held inputs that lie behind.
-        is_stuck: Whether the next step has to be taken alone, by `Stepper.step`.
-    """
-
-    rows: Array
-    intervals: int
-    is_stuck: bool
 
 
 class BlockStepper(Stepper):
@@ -370,3 +332,31 @@ class BlockStepper(Stepper):
             steps: How many steps may be taken.
         """
         raise NotImplementedError
+
+
+class SampleBlock(NamedTuple):
+    """What one call took.
+
+    Attributes:
+        rows: A sample a row: time, positions and velocities of all joints, internal states.
+        intervals: Rows of the held inputs that lie behind.
+        is_stuck: Whether the next step has to be taken alone, by `Stepper.step`.
+    """
+
+    rows: Array
+    intervals: int
+    is_stuck: bool
+
+
+class HeldTable(NamedTuple):
+    """Inputs that are held from jump to jump.
+
+    Attributes:
+        until: Time at which each row ends, where a step ends too [s], shape (m,).
+        values: The whole u of each, shape (m, nu).
+        now: Time at which each row began [s], shape (m,).
+    """
+
+    until: Array
+    values: Array
+    now: Array

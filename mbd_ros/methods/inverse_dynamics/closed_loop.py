@@ -67,7 +67,6 @@ class ClosedLoopInverseDynamics:
     One instance owns its Pinocchio data: not for two threads. No result depends on earlier ones.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints; they become rows.
         constraints: Constraints of the scene.
         efforts: The unknown inputs.
@@ -79,11 +78,8 @@ class ClosedLoopInverseDynamics:
         near: What counts as on the ground.
 
     Attributes:
-        robot: The robot.
         couplings: Its dependent joints.
         standing: Says which features of the contacts press; None without such contacts.
-        carriers: As given.
-        forces: As given.
         efforts: Those of `Torques.tau`.
         constraints: Rows of the multipliers: couplings, then constraints in the order of the
             scene; without bounds bilateral ones and drives alone.
@@ -266,7 +262,6 @@ class Problem(NamedTuple):
     """The equation at one state.
 
     Attributes:
-        split: Its factors.
         b: Force on all joints that is to be split, shape (nv,).
         scale: Size of the terms in it, in the metric of the split.
         asked: Which unknowns the split has; the motion shows the others, shape (n,).
@@ -288,7 +283,6 @@ class ObservedLoops:
         inverse: The solver, owned from now on.
 
     Attributes:
-        inverse: The solver.
         couplings: The dependent joints.
         configuration: Consistent configuration of the last sample, shape (nq,).
         needed: Joints that must be measured: none, as long as the loops tie them to others.
@@ -440,9 +434,7 @@ def is_at_toggle(
     """Whether neighbours on the constraints have fewer motions.
 
     Args:
-        loops: The mechanism.
         x: State on the constraints.
-        split: Factors there.
         beside: Gives the factors at another state on the constraints.
     """
     for motion in split.motions().T:

@@ -60,7 +60,6 @@ def joint_efforts(
     """Efforts of joints [N·m or N], of smallest Euclidean norm in SI numbers.
 
     Args:
-        robot: The robot.
         joints: Different joints of it.
         limits: Largest effort of each [N·m or N], > 0; without it there is none.
 
@@ -82,7 +81,6 @@ def input_efforts(robot: Robot, loads: Sequence[Load]) -> Efforts:
     """Inputs of loads that are affine in them, within the bounds of their channels.
 
     Args:
-        robot: The robot.
         loads: Actuators and other loads with inputs; they are no force terms of the problem then.
 
     Raises:
@@ -120,7 +118,6 @@ class Unknowns:
 
     Args:
         efforts: The unknown inputs.
-        constraints: The rows.
         is_drive: Which rows are drives, shape (m,).
         with_bounds: Whether efforts and drives keep their bounds.
 
@@ -188,7 +185,6 @@ class Unknowns:
         Args:
             known: Those that are not asked for, 0 elsewhere, shape (na + m,).
             asked: Which unknowns y has, shape (n,).
-            y: Their values.
         """
         forces = known.copy()
         forces[self.place[asked]] = self.target[asked] + y / self.weight[asked]
@@ -229,7 +225,6 @@ def movers(robot: Robot, directions: Array, M: Array) -> tuple[str, ...]:
     """Joints that carry most of some motions by kinetic energy, equal ones in the robot's order.
 
     Args:
-        robot: The robot.
         directions: Motions, one a column, shape (nv, k).
         M: Mass matrix, shape (nv, nv).
     """

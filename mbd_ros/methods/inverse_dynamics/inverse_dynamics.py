@@ -38,7 +38,6 @@ class InverseDynamics:
     its result and what the Pinocchio bindings return.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints.
         wrenches: External loads, in the order in which `solve` takes their values.
         forces: Force terms of the scene.
@@ -338,7 +337,6 @@ class BatchLoads:
     Pinocchio's world Jacobian: those of the joints that carry its body count.
 
     Args:
-        robot: The robot.
         wrenches: External loads, in the order in which `forces` takes their values.
     """
 

@@ -21,8 +21,7 @@ from mbd_ros.core.loads.loads import BodyLoads, Loads
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Constraint, Kind
-from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock, RowLayout
-from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, CouplingRows, RowBlock, RowLayout
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.core.thresholds import LANDED, SINGULAR
 from mbd_ros.errors import ModelError, SolveError
@@ -43,7 +42,6 @@ class LoopMotion:
     Drives demand nothing here: the motion shows what they did.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints, as rows.
         constraints: Bilateral constraints of the scene; drives among them are left out.
     """
@@ -214,14 +212,11 @@ class LoopBalance:
     state, and `rows` comes before them.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints; they become rows.
         constraints: Constraints of the scene.
         efforts: The unknown inputs.
         with_bounds: Whether rows that give way are among the unknowns; drives always are.
         contacts: Names of contacts whose forces are unknown; those of others are loads.
-        wrenches: External loads.
-        forces: Force terms.
 
     Attributes:
         constraints: The rows: couplings, then constraints in the order of the scene.
@@ -350,7 +345,6 @@ class Terms(NamedTuple):
     """Generalized forces of a motion, shape (nv,) each.
 
     Attributes:
-        inertial: M a.
         bias: h, gravity included.
         loads: Forces of wrenches and force terms.
     """

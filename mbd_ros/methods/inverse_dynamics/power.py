@@ -24,8 +24,7 @@ from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import BodyLoads
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Kind
-from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
-from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.constraint_rows import ConstraintRows, CouplingRows, RowLayout
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
@@ -50,11 +49,9 @@ class PowerBalance:
     One instance owns its Pinocchio data: not for two threads.
 
     Args:
-        robot: The robot.
         constraints: The rows that multipliers are given for.
         driven: Joints whose efforts are given.
         wrenches: External loads by name.
-        forces: Force terms.
         contacts: Names of loads that are forces of contacts.
 
     Attributes:
@@ -181,10 +178,8 @@ class ObservedPower:
     One instance owns its Pinocchio data: not for two threads.
 
     Args:
-        robot: The robot.
         solver: Solves the samples; asked about the newest of them.
         wrenches: External loads by name.
-        forces: Force terms.
 
     Attributes:
         outputs: As those of `PowerBalance`.
@@ -259,9 +254,6 @@ class SegmentPower:
     joined to the world by what nothing carries of it.
 
     One instance owns its Pinocchio data: not for two threads.
-
-    Args:
-        robot: The robot.
 
     Attributes:
         outputs: `<link>.proximal_power`, `<link>.distal_power_<link>` of what each next link

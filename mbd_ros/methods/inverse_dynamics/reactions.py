@@ -104,11 +104,7 @@ class Reactions(NamedTuple):
 
 
 class FeltReactions:
-    """Reactions of the joints of a system, with all that acts on its bodies.
-
-    Args:
-        system: The system.
-    """
+    """Reactions of the joints of a system, with all that acts on its bodies."""
 
     def __init__(self, system: System) -> None:
         rows = ConstraintRows(system.layout.blocks, int(system.robot.model.nv))
@@ -144,7 +140,6 @@ class JointLoads:
     One instance owns Pinocchio data: not for two threads.
 
     Args:
-        robot: The robot.
         reactions: Of the robot without muscles, with its external loads.
         muscles: Their order is that of the parts of a load.
         reserves: As in `StaticOptimization`.
@@ -152,10 +147,6 @@ class JointLoads:
         side: `child` is the load on the link in its axes, `ground` the same in world axes, both
             about the origin of its joint; `parent` is the load on the parent in its axes, about
             the place of the joint there.
-
-    Attributes:
-        joined: The links.
-        side: As given.
 
     Raises:
         ModelError: Unknown link, or one that no joint carries.
@@ -303,7 +294,6 @@ class Joined(NamedTuple):
     """A link and what joins it to its parent: one joint, or several with links without mass.
 
     Attributes:
-        link: Its name.
         row: Of its last joint, among the joints of the robot.
         joint: Index of that joint in the model; its origin is what moments are about.
         child: Axes of the link.

@@ -44,7 +44,6 @@ class BodyReserve:
     """A force and a torque on a body, from outside, both in fixed directions.
 
     Args:
-        robot: The robot.
         name: Of the reserve, without a dot.
         frame: Link that it acts on.
         force: Direction of the force and its share of the optimal force.
@@ -100,7 +99,6 @@ class BodyReserve:
 
         Args:
             k: Kinematics at positions.
-            x: State.
             value: Force [N or N·m].
         """
         force, torque = self._now(k)
@@ -153,7 +151,6 @@ def coordinate_reserves(
     """One on every independent coordinate, the six of a free base too.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints.
         optimal: Force of each at effort 1 [N·m or N].
         without: Joints that need none.
@@ -182,7 +179,6 @@ def reserve_on(
     """One on a joint.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints.
         joint: An independent one.
         optimal: Force at effort 1 [N·m or N].

@@ -40,9 +40,7 @@ class Standing:
     One instance owns its Pinocchio data: not for two threads.
 
     Args:
-        robot: The robot.
         contacts: Constraints of the law `cone`.
-        near: The thresholds.
 
     Attributes:
         features: `<contact>`, or `<contact>.<feature>` of several, in the order of the masks.
@@ -112,7 +110,6 @@ def carriers(robot: Robot, actuated: Sequence[str] | None) -> tuple[str, ...]:
     without one; otherwise a chain that slides along two axes at least, as models of persons have.
 
     Args:
-        robot: The robot.
         actuated: Joints with an actuator; None where the scene has none.
     """
     model, names = robot.model, {joint.v: joint.name for joint in robot.joints}

@@ -29,7 +29,6 @@ class JointObserver:
     pose, each in axes of the body. A constant twist passes any filter as it is.
 
     Args:
-        robot: The robot.
         couplings: Its dependent joints, which may be missing.
         tuning: How samples are judged and filtered.
 
@@ -190,7 +189,6 @@ class TorqueEstimator(JointObserver):
     """Causal inverse dynamics on a stream of joint samples.
 
     Args:
-        robot: The robot.
         inverse: Solver, owned by the estimator from now on.
         tuning: How samples are judged and filtered.
     """

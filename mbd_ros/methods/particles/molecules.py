@@ -24,8 +24,6 @@ class ElasticBond(NamedTuple):
     Attributes:
         i: Number of the first point in the molecule.
         j: Number of the second.
-        length: L.
-        stiffness: k.
     """
 
     i: int
@@ -56,7 +54,6 @@ class ElasticAngle(NamedTuple):
         j: Number of that at the corner.
         k: Number of the third.
         angle: theta_0 [rad].
-        stiffness: k.
     """
 
     i: int
@@ -353,7 +350,6 @@ class Sites:
     follow the atoms, group by group, molecule by molecule.
 
     Args:
-        groups: The groups.
         atoms: How many atoms there are.
 
     Attributes:

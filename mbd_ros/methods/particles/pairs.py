@@ -30,12 +30,10 @@ class PairModel(NamedTuple):
     """What pairs exert on one another.
 
     Attributes:
-        cutoff: rc.
         box: Edges of the periodic box, shape (3,); None without one.
         charges: sqrt(k) q of each point, atoms and then sites, shape (n,).
         types: Number of the type of each point, shape (n,).
         sigma: Of two types, shape (types, types).
-        epsilon: Likewise.
     """
 
     cutoff: float

@@ -31,15 +31,11 @@ class ParticleSystem:
     dense, for scenes that can pay.
 
     Args:
-        kinds: The molecules.
         pairs: Forces between molecules; None without any.
         force_unit: For the names of multipliers.
         steps: What takes half steps of a kind, called as `KindSteps`; None for that.
 
     Attributes:
-        kinds: As given.
-        pairs: As given.
-        steps: As given.
         slices: Where each kind stands in q and v.
         clusters: Whether there are rows; methods of constrained Verlet steps look for it.
         masses: Of each point, shape (n,).
@@ -248,7 +244,6 @@ class ParticleRows:
     """Rows of all molecules, kind by kind, molecule by molecule.
 
     Args:
-        kinds: The molecules.
         slices: Where each kind stands in a vector of all coordinates.
 
     Attributes:

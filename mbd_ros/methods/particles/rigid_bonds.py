@@ -28,7 +28,6 @@ class DistanceRow(NamedTuple):
         name: For columns and messages.
         i: Number of the first point in the molecule.
         j: Number of the second.
-        length: L.
     """
 
     name: str
@@ -138,12 +137,10 @@ class Cluster:
     """Rows of a molecule that are solved for together.
 
     Args:
-        rows: The rows.
         masses: Of all points of the molecule, shape (atoms,).
         at: Positions of the template, shape (atoms, 3).
 
     Attributes:
-        rows: As given.
         sizes: Of the rows, shape (m,): residuals are compared with multiples of them.
         rank: Rows that are independent at the template.
     """
@@ -187,8 +184,6 @@ class Cluster:
         """The lam with J (a + M^-1 J' lam) + drift = 0, shape (m, lanes).
 
         Args:
-            x: Positions.
-            v: Velocities.
             a: Accelerations without the rows.
         """
         D = self.directions(x)
@@ -211,7 +206,6 @@ class Cluster:
             x: Positions whose rows push.
             moved: Positions without multipliers.
             w: Velocities that led there.
-            h: Time step.
             tolerance: |g| in sizes of the rows that may be left. Corrections square |g|, so that
                 the last one is known before it is made.
 

@@ -66,10 +66,8 @@ def closed(
     """Places of the corners about their centre of mass, on the rows.
 
     Args:
-        triangle: Its sizes.
         sides: From the apex to both others before the step.
         loose: Places of the corners after the step without rows, about their centre of mass.
-        root: Square root.
     """
     ra, rb, rc = triangle.height, triangle.depth, triangle.half
     z = cross(*sides)
@@ -125,10 +123,8 @@ def corrections(
     """What rows add to the places of the corners, three vectors.
 
     Args:
-        triangle: Its sizes.
         before: Places of the corners before the step.
         moved: Places after it, without rows.
-        root: Square root.
     """
     heavy, light = triangle.masses
     share = light / (heavy + 2.0 * light)
@@ -156,10 +152,8 @@ def velocity_changes(
     J M^-1 J' of a rigid triangle is a constant, and so is its inverse.
 
     Args:
-        triangle: Its sizes.
         inverse: Of J M^-1 J' with sides that are not scaled: apex to b, apex to c, b to c.
         places: Of the corners.
-        v: Their velocities.
     """
     d = [_minus(places[i], places[j]) for i, j in _SIDES]
     rates = [dot(one, _minus(v[i], v[j])) for one, (i, j) in zip(d, _SIDES, strict=True)]
@@ -192,7 +186,6 @@ class SettledCluster(Cluster):
     """Rows of a rigid triangle of two equal sides: solved in closed form.
 
     Args:
-        rows: The rows.
         masses: Of all points of the molecule, shape (atoms,).
         at: Positions of the template, shape (atoms, 3).
         triangle: What the rows make.

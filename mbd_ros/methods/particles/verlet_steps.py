@@ -25,9 +25,7 @@ class ParticleVerlet(Stepper):
     up what nu would have.
 
     Args:
-        system: The points.
         tolerance: |g| in sizes of the rows that may be left.
-        dt: Step.
         projects: Whether velocities are moved onto the rows.
     """
 
@@ -114,9 +112,7 @@ class ParticleShake(ParticleVerlet):
     The position after the next one is solved for ahead; a step after a restart costs two.
 
     Args:
-        system: The points.
         tolerance: As for `ParticleVerlet`.
-        dt: Step.
     """
 
     def __init__(self, system: ParticleSystem, tolerance: float, dt: float) -> None:
@@ -160,11 +156,8 @@ def run(
     """States, the first one included; a last shorter interval ends exactly at the end.
 
     Args:
-        system: The points.
-        stepper: Its steps.
         x: State on the rows.
         duration: Time from the first state to the last.
-        dt: Step.
         every: Steps from one state to the next.
 
     Raises:
@@ -191,7 +184,6 @@ class KindSteps:
     """Half steps of the molecules of one kind, on arrays of shape (atoms, 3, lanes).
 
     Args:
-        kind: The molecules.
         tolerance: |g| in sizes of the rows that may be left.
         projects: Whether velocities are moved onto the rows.
     """

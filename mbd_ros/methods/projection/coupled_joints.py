@@ -29,14 +29,78 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import BRANCH_STEP, NEAREST, ON_MANIFOLD, REACHED
 from mbd_ros.errors import SolveError
 
-# ---- coupled joints ---------------------------------------------------------------------------
-# The nearest state of a robot whose only constraints are couplings of joints.
-
-
 _SUCCESS = eigenpy.ComputationInfo.Success
 _ITERATIONS = 12
 _WITHIN = 1.0e-13  # distance from a limit that is rounding [rad or m]
 _SLOW = 0.1  # step over the last one from which a new Hessian pays
+_SAMPLES = 2001  # of a coupling, over the range of its parent
+_WIDE = 4.0 * np.pi  # rad or m: range of a parent without limits
+_HALVINGS = 50
+_SLACK = 1.0e-9  # rad or m by which a dependent joint may pass its limit
+Bools = NDArray[np.bool_]
+
+
+class CoupledJoints:
+    """Couplings of a fixed-base robot; each function is evaluated once a place.
+
+    Args:
+        n: Number of joints.
+        pairs: The couplings, parents before children.
+
+    Attributes:
+        free: The independent joints, shape (ny,).
+        ancestry: 1 where a joint moves with an independent one, shape (n, ny).
+    """
+
+    def __init__(self, n: int, pairs: Sequence[CoupledPair]) -> None:
+        self._pairs = tuple((pair.child_v, pair.parent_v, pair.function) for pair in pairs)
+        self.free = np.setdiff1d(np.arange(n), [child for child, _, _ in self._pairs])
+        self.ancestry = np.zeros((n, len(self.free)))
+        self.ancestry[self.free, np.arange(len(self.free))] = 1.0
+        for child, parent, _ in self._pairs:
+            self.ancestry[child] = self.ancestry[parent]
+        self._ones = [1.0] * n
+        self._zeros = [0.0] * n
+
+    def at(self, start: Array) -> Place:
+        """F and its derivatives.
+
+        Args:
+            start: Positions whose independent ones are y [rad or m], shape (n,).
+        """
+        q, slope, curvature = start.tolist(), self._ones.copy(), self._zeros.copy()
+        slopes = []
+        for child, parent, function in self._pairs:
+            q[child], first, second = function(q[parent])
+            up = slope[parent]
+            slope[child] = first * up
+            curvature[child] = second * up * up + first * curvature[parent]
+            slopes.append(first)
+        values = np.array((q, slope, curvature))
+        return Place(values[0], values[1], values[2], slopes)
+
+    def multipliers(self, forces: Array, link_slopes: list[float]) -> Array:
+        """Multipliers of the couplings that carry forces to the independent joints, shape (m,).
+
+        Args:
+            forces: On all joints, shape (n,); those on the independent ones have no influence.
+            link_slopes: Those of a `Place`.
+        """
+        carried = forces.tolist()
+        for (child, parent, _), slope in zip(
+            reversed(self._pairs), reversed(link_slopes), strict=True
+        ):
+            carried[parent] += slope * carried[child]
+        return np.array([carried[child] for child, _, _ in self._pairs])
+
+    def violation(self, q: Array, v: Array) -> tuple[Array, Array]:
+        """Residual g and its rate g' at any state of all joints, shapes (m,) and (m,)."""
+        at, speed, g, rate = q.tolist(), v.tolist(), [], []
+        for child, parent, function in self._pairs:
+            follows, slope, _ = function(at[parent])
+            g.append(at[child] - follows)
+            rate.append(speed[child] - slope * speed[parent])
+        return np.array(g), np.array(rate)
 
 
 class NearestCoupled:
@@ -151,6 +215,23 @@ class NearestCoupled:
         return _norm(g) <= ON_MANIFOLD and _norm(rate) <= ON_MANIFOLD * size < math.inf
 
 
+class _Stationary(NamedTuple):
+    """Where Newton's method ends.
+
+    Attributes:
+        pull: W p, shape (n,).
+        mu: Forces of the limits, shape (n,); None where none acts.
+        clearance: Distance from the nearest limit [rad or m].
+        iterations: Steps, the last of which changed nothing.
+    """
+
+    place: Place
+    pull: Array
+    mu: Array | None
+    clearance: float
+    iterations: int
+
+
 def _norm(vector: Array) -> float:
     return math.sqrt(vector.dot(vector))
 
@@ -173,87 +254,6 @@ class Nearest(NamedTuple):
     mu: Array
     iterations: int
     condition: float
-
-
-class _Stationary(NamedTuple):
-    """Where Newton's method ends.
-
-    Attributes:
-        place: F there.
-        pull: W p, shape (n,).
-        mu: Forces of the limits, shape (n,); None where none acts.
-        clearance: Distance from the nearest limit [rad or m].
-        iterations: Steps, the last of which changed nothing.
-    """
-
-    place: Place
-    pull: Array
-    mu: Array | None
-    clearance: float
-    iterations: int
-
-
-class CoupledJoints:
-    """Couplings of a fixed-base robot; each function is evaluated once a place.
-
-    Args:
-        n: Number of joints.
-        pairs: The couplings, parents before children.
-
-    Attributes:
-        free: The independent joints, shape (ny,).
-        ancestry: 1 where a joint moves with an independent one, shape (n, ny).
-    """
-
-    def __init__(self, n: int, pairs: Sequence[CoupledPair]) -> None:
-        self._pairs = tuple((pair.child_v, pair.parent_v, pair.function) for pair in pairs)
-        self.free = np.setdiff1d(np.arange(n), [child for child, _, _ in self._pairs])
-        self.ancestry = np.zeros((n, len(self.free)))
-        self.ancestry[self.free, np.arange(len(self.free))] = 1.0
-        for child, parent, _ in self._pairs:
-            self.ancestry[child] = self.ancestry[parent]
-        self._ones = [1.0] * n
-        self._zeros = [0.0] * n
-
-    def at(self, start: Array) -> Place:
-        """F and its derivatives.
-
-        Args:
-            start: Positions whose independent ones are y [rad or m], shape (n,).
-        """
-        q, slope, curvature = start.tolist(), self._ones.copy(), self._zeros.copy()
-        slopes = []
-        for child, parent, function in self._pairs:
-            q[child], first, second = function(q[parent])
-            up = slope[parent]
-            slope[child] = first * up
-            curvature[child] = second * up * up + first * curvature[parent]
-            slopes.append(first)
-        values = np.array((q, slope, curvature))
-        return Place(values[0], values[1], values[2], slopes)
-
-    def multipliers(self, forces: Array, link_slopes: list[float]) -> Array:
-        """Multipliers of the couplings that carry forces to the independent joints, shape (m,).
-
-        Args:
-            forces: On all joints, shape (n,); those on the independent ones have no influence.
-            link_slopes: Those of a `Place`.
-        """
-        carried = forces.tolist()
-        for (child, parent, _), slope in zip(
-            reversed(self._pairs), reversed(link_slopes), strict=True
-        ):
-            carried[parent] += slope * carried[child]
-        return np.array([carried[child] for child, _, _ in self._pairs])
-
-    def violation(self, q: Array, v: Array) -> tuple[Array, Array]:
-        """Residual g and its rate g' at any state of all joints, shapes (m,) and (m,)."""
-        at, speed, g, rate = q.tolist(), v.tolist(), [], []
-        for child, parent, function in self._pairs:
-            follows, slope, _ = function(at[parent])
-            g.append(at[child] - follows)
-            rate.append(speed[child] - slope * speed[parent])
-        return np.array(g), np.array(rate)
 
 
 class Place(NamedTuple):
@@ -310,22 +310,11 @@ class Tangent:
         return np.array((moves * reduced).sum(axis=0))
 
 
-# ---- independent limits -----------------------------------------------------------------------
-# Limits of dependent joints, as limits of the independent coordinates that they follow.
-#
-# An independent joint may go as far as the joints that follow it stay within their own limits: the
-# interval around 0 is found on a grid over its range, and its ends by bisection.
-
-
-_SAMPLES = 2001  # of a coupling, over the range of its parent
-_WIDE = 4.0 * np.pi  # rad or m: range of a parent without limits
-_HALVINGS = 50
-_SLACK = 1.0e-9  # rad or m by which a dependent joint may pass its limit
-Bools = NDArray[np.bool_]
-
-
 def independent_limits(robot: Robot, couplings: Couplings) -> tuple[Array, Array]:
     """Range of the independent coordinates in which all joints are within limits.
+
+    An independent joint may go as far as the joints that follow it stay within their own limits:
+    the interval around 0 is found on a grid over its range, and its ends by bisection.
 
     Returns:
         Smallest and largest values [rad or m], shapes (ny,) and (ny,); infinite for free bodies.

@@ -14,6 +14,8 @@ Sources: E. Eich, SIAM J. Numer. Anal. 30 (1993); J. Nocedal and S. Wright, Nume
 2006, ch. 18, on successive quadratic programs.
 """
 
+from __future__ import annotations
+
 import math
 from typing import Annotated, NamedTuple
 
@@ -34,16 +36,12 @@ from mbd_ros.core.optimization.move_qp import (
     stops,
 )
 from mbd_ros.core.ranges import Unit, Within
-from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.constraint_rows import CouplingRows
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import BRANCH_STEP, LANDED, NEAREST, ON_MANIFOLD
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.methods.projection.assembly import project
 from mbd_ros.methods.projection.coupled_joints import CoupledJoints, Nearest, NearestCoupled
-
-# ---- state projection -------------------------------------------------------------------------
-# The state nearest to a measured one, on the constraints and within the joint limits.
-
 
 _QUICK = 30  # quadratic programs with full steps
 _PATIENT = 60  # quadratic programs downhill along the manifold
@@ -58,66 +56,6 @@ Rows = tuple[Array, Array]  # g and J
 _OPTIMAL = 1.0e-8  # accepted residual of the optimality condition, relative
 _NAMED = 4  # violations in an error message
 _SHARE = 0.1  # of a free direction from which a joint counts as free
-
-
-class Measurement(NamedTuple):
-    """A state of all joints of which some entries were measured.
-
-    Attributes:
-        x: The state; an entry that was not measured is the start of the search.
-        known: Joints whose position was measured, shape (nv,).
-        known_velocity: Joints whose velocity was measured, shape (nv,).
-    """
-
-    x: State
-    known: NDArray[np.bool_]
-    known_velocity: NDArray[np.bool_]
-
-
-class Prepared(NamedTuple):
-    """The beginning of a projection.
-
-    Attributes:
-        metric: Of positions.
-        of_velocity: Of velocities.
-        undetermined: Joints whose position neither measurement nor rows place, shape (nv,).
-        is_whole: Whether all of both was measured.
-        rows: At the measurement; None where they need not be formed.
-    """
-
-    metric: Metric
-    of_velocity: Metric
-    undetermined: NDArray[np.bool_]
-    is_whole: bool
-    rows: Rows | None = None
-
-
-class ProjectedState(NamedTuple):
-    """The nearest consistent state, and how far the measurement was from it.
-
-    The multipliers are no forces of the mechanism: W (q - q_m) = J' multipliers + limit
-    multipliers. They tell how hard each row pushed the measurement onto the constraints.
-
-    Attributes:
-        multipliers: Of the rows, unit of the row's force times s^2, shape (m,).
-        limit_multipliers: Of the limits, positive at a lower one, shape (nv,).
-        gap: g of the measurement, joints that it lacks taken from x [rad or m], shape (m,).
-        rate: g' likewise [1/s], shape (m,).
-        excess: How far it is beyond a limit, negative below a lower one, shape (nv,).
-        undetermined: Joints that neither measurement nor rows place: they stay, shape (nv,).
-        iterations: Steps that the position took, of Newton's method or quadratic programs.
-        condition: Condition number of the rows in the metric; 1 with couplings alone.
-    """
-
-    x: State
-    multipliers: Array
-    limit_multipliers: Array
-    gap: Array
-    rate: Array
-    excess: Array
-    undetermined: NDArray[np.bool_]
-    iterations: int
-    condition: float
 
 
 class StateProjector:
@@ -226,39 +164,106 @@ class StateProjector:
         )
 
 
-def metric_of(
-    M: Array, J: Array, known: NDArray[np.bool_], amplification: float
-) -> tuple[Metric, NDArray[np.bool_]]:
-    """Mass metric of the measured joints.
+class ProjectedState(NamedTuple):
+    """The nearest consistent state, and how far the measurement was from it.
 
-    A joint that was not measured costs nothing to move, so that the rows alone place it. Some
-    joints the rows leave free, or would place with errors larger than those of the measured
-    joints by more than `amplification`. They keep their mass: they stay, as far as the rows let
-    them.
+    The multipliers are no forces of the mechanism: W (q - q_m) = J' multipliers + limit
+    multipliers. They tell how hard each row pushed the measurement onto the constraints.
+
+    Attributes:
+        multipliers: Of the rows, unit of the row's force times s^2, shape (m,).
+        limit_multipliers: Of the limits, positive at a lower one, shape (nv,).
+        gap: g of the measurement, joints that it lacks taken from x [rad or m], shape (m,).
+        rate: g' likewise [1/s], shape (m,).
+        excess: How far it is beyond a limit, negative below a lower one, shape (nv,).
+        undetermined: Joints that neither measurement nor rows place: they stay, shape (nv,).
+        iterations: Steps that the position took, of Newton's method or quadratic programs.
+        condition: Condition number of the rows in the metric; 1 with couplings alone.
+    """
+
+    x: State
+    multipliers: Array
+    limit_multipliers: Array
+    gap: Array
+    rate: Array
+    excess: Array
+    undetermined: NDArray[np.bool_]
+    iterations: int
+    condition: float
+
+
+class Measurement(NamedTuple):
+    """A state of all joints of which some entries were measured.
+
+    Attributes:
+        x: The state; an entry that was not measured is the start of the search.
+        known: Joints whose position was measured, shape (nv,).
+        known_velocity: Joints whose velocity was measured, shape (nv,).
+    """
+
+    x: State
+    known: NDArray[np.bool_]
+    known_velocity: NDArray[np.bool_]
+
+
+class ObservedState:
+    """A consistent state of all joints from measured independent ones.
+
+    Couplings give q = F(y) and v = G y'; then follows the nearest state on the loops, if there are
+    any.
 
     Args:
-        M: Mass matrix, shape (n, n).
-        J: Rows, shape (m, n).
-        known: Measured joints, shape (n,).
-        amplification: See above; in raw units, rad and m alike.
+        system: The system with the bilateral rows to keep.
 
-    Returns:
-        The metric, and the joints without measurement that the rows leave free, shape (n,).
+    Attributes:
+        moved: How far a joint of the last state was moved onto the loops [rad or m].
+        dependent: Positions of the dependent joints of the last state [rad or m].
     """
-    undetermined = np.zeros(len(M), dtype=np.bool_)
-    if known.all():
-        return Metric(M, None), undetermined
-    free = (~known).nonzero()[0]
-    W = np.where(known[:, None] & known, M, 0.0)
-    length = np.sqrt((J * J).sum(axis=1))
-    reach = J[:, free] / np.where(length > 0.0, length, 1.0)[:, None]
-    _, sizes, directions = np.linalg.svd(reach)
-    rank = int(np.count_nonzero(sizes * amplification > 1.0))
-    null = directions[rank:].T
-    block = np.ix_(free, free)
-    W[block] = null.dot(null.T.dot(M[block]).dot(null)).dot(null.T)
-    undetermined[free] = (np.abs(null) > _SHARE).any(axis=1)
-    return Metric(W, row_weight(M, J)), undetermined
+
+    def __init__(self, system: System, couplings: Couplings) -> None:
+        self._system = system
+        self._couplings = couplings
+        self._neutral = system.robot.neutral()
+        self._nv = int(system.robot.model.nv)
+        self._slopes: Slopes = [0.0] * len(couplings.pairs)
+        self._dependent_q = [pair.child_q for pair in couplings.pairs]
+        self.moved = 0.0
+        self.dependent = np.zeros(len(couplings.pairs))
+
+    def state(self, t: float, position: Array, velocity: Array) -> State:
+        """The state at a time.
+
+        Args:
+            t: [s].
+            position: Independent joints [rad or m], shape (ny,).
+            velocity: [rad/s or m/s], shape (nv_y,).
+        """
+        q, v = self._neutral.copy(), np.zeros(self._nv)
+        q[self._couplings.q_index], v[self._couplings.v_index] = position, velocity
+        if self._couplings.pairs:
+            self._couplings.expand(q, v, np.zeros(self._nv), self._slopes)
+            self.dependent = q[self._dependent_q]
+        x = State(t, q, v)
+        if self._system.held.rows:
+            x = project(self._system, x)
+            self.moved = float(np.abs(x.q - q).max())
+        return x
+
+
+class Prepared(NamedTuple):
+    """The beginning of a projection.
+
+    Attributes:
+        undetermined: Joints whose position neither measurement nor rows place, shape (nv,).
+        is_whole: Whether all of both was measured.
+        rows: At the measurement; None where they need not be formed.
+    """
+
+    metric: Metric
+    of_velocity: Metric
+    undetermined: NDArray[np.bool_]
+    is_whole: bool
+    rows: Rows | None = None
 
 
 class NearestOnRows:
@@ -360,6 +365,22 @@ class NearestOnRows:
         return f"no consistent state near the measured one, which violates {worst} (rad or m)"
 
 
+def _check(p: Array, metric: Metric, move: Move, rows: Rows) -> None:
+    """Raise unless a solution is on the manifold and the nearest there."""
+    g, J = rows
+    if not largest(g) <= ON_MANIFOLD:
+        raise SolveError(f"the projected state is {largest(g):.1e} rad or m off its constraints")
+    pull = metric.W.dot(p)
+    left = largest(pull - J.T.dot(move.lam) - move.mu)
+    if not left <= _OPTIMAL * largest(pull) + NEAREST * largest(metric.W):
+        raise SolveError(f"the projected state is not the nearest one: residual {left:.1e}")
+
+
+def largest(values: Array) -> float:
+    """Largest absolute value, 0 of none."""
+    return float(np.abs(values).max(initial=0.0))
+
+
 class NearestConfiguration:
     """Full steps first; where they do not converge, downhill along the manifold.
 
@@ -369,7 +390,6 @@ class NearestConfiguration:
         system: All joints of a fixed-base robot.
         lower: Smallest positions [rad or m], shape (nv,).
         upper: Largest positions [rad or m], shape (nv,).
-        limits: Their forces.
     """
 
     def __init__(self, system: System, lower: Array, upper: Array, limits: LimitForces) -> None:
@@ -401,7 +421,6 @@ class NearestConfiguration:
 
         Args:
             measured: q_m; where it is beyond limits, the search begins at them, shape (nv,).
-            metric: W.
             rows: What `rows` gives for q_m.
 
         Returns:
@@ -518,64 +537,36 @@ class NearestConfiguration:
         return np.minimum(np.maximum(q, self._lower), self._upper)
 
 
-def _check(p: Array, metric: Metric, move: Move, rows: Rows) -> None:
-    """Raise unless a solution is on the manifold and the nearest there."""
-    g, J = rows
-    if not largest(g) <= ON_MANIFOLD:
-        raise SolveError(f"the projected state is {largest(g):.1e} rad or m off its constraints")
-    pull = metric.W.dot(p)
-    left = largest(pull - J.T.dot(move.lam) - move.mu)
-    if not left <= _OPTIMAL * largest(pull) + NEAREST * largest(metric.W):
-        raise SolveError(f"the projected state is not the nearest one: residual {left:.1e}")
+def metric_of(
+    M: Array, J: Array, known: NDArray[np.bool_], amplification: float
+) -> tuple[Metric, NDArray[np.bool_]]:
+    """Mass metric of the measured joints.
 
-
-def largest(values: Array) -> float:
-    """Largest absolute value, 0 of none."""
-    return float(np.abs(values).max(initial=0.0))
-
-
-# ---- observed state ---------------------------------------------------------------------------
-# A consistent state of all joints from measured independent ones.
-#
-# q = F(y),  v = G y'    for couplings,    then the nearest state on the loops, if there are any
-
-
-class ObservedState:
-    """Adds the dependent joints, and moves joints of loops onto the loops.
+    A joint that was not measured costs nothing to move, so that the rows alone place it. Some
+    joints the rows leave free, or would place with errors larger than those of the measured
+    joints by more than `amplification`. They keep their mass: they stay, as far as the rows let
+    them.
 
     Args:
-        system: The system with the bilateral rows to keep.
+        M: Mass matrix, shape (n, n).
+        J: Rows, shape (m, n).
+        known: Measured joints, shape (n,).
+        amplification: See above; in raw units, rad and m alike.
 
-    Attributes:
-        moved: How far a joint of the last state was moved onto the loops [rad or m].
-        dependent: Positions of the dependent joints of the last state [rad or m].
+    Returns:
+        The metric, and the joints without measurement that the rows leave free, shape (n,).
     """
-
-    def __init__(self, system: System, couplings: Couplings) -> None:
-        self._system = system
-        self._couplings = couplings
-        self._neutral = system.robot.neutral()
-        self._nv = int(system.robot.model.nv)
-        self._slopes: Slopes = [0.0] * len(couplings.pairs)
-        self._dependent_q = [pair.child_q for pair in couplings.pairs]
-        self.moved = 0.0
-        self.dependent = np.zeros(len(couplings.pairs))
-
-    def state(self, t: float, position: Array, velocity: Array) -> State:
-        """The state at a time.
-
-        Args:
-            t: [s].
-            position: Independent joints [rad or m], shape (ny,).
-            velocity: [rad/s or m/s], shape (nv_y,).
-        """
-        q, v = self._neutral.copy(), np.zeros(self._nv)
-        q[self._couplings.q_index], v[self._couplings.v_index] = position, velocity
-        if self._couplings.pairs:
-            self._couplings.expand(q, v, np.zeros(self._nv), self._slopes)
-            self.dependent = q[self._dependent_q]
-        x = State(t, q, v)
-        if self._system.held.rows:
-            x = project(self._system, x)
-            self.moved = float(np.abs(x.q - q).max())
-        return x
+    undetermined = np.zeros(len(M), dtype=np.bool_)
+    if known.all():
+        return Metric(M, None), undetermined
+    free = (~known).nonzero()[0]
+    W = np.where(known[:, None] & known, M, 0.0)
+    length = np.sqrt((J * J).sum(axis=1))
+    reach = J[:, free] / np.where(length > 0.0, length, 1.0)[:, None]
+    _, sizes, directions = np.linalg.svd(reach)
+    rank = int(np.count_nonzero(sizes * amplification > 1.0))
+    null = directions[rank:].T
+    block = np.ix_(free, free)
+    W[block] = null.dot(null.T.dot(M[block]).dot(null)).dot(null.T)
+    undetermined[free] = (np.abs(null) > _SHARE).any(axis=1)
+    return Metric(W, row_weight(M, J)), undetermined

@@ -13,8 +13,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array, State
 
-# ---- flow -------------------------------------------------------------------------------------
-# The contract of a motion with events, as a return map asks for it: x+ = P(x).
+_UNUSED = 1.0e-9  # part of a coordinate in a direction: rounding
 
 
 class HybridFlow(Protocol):
@@ -101,13 +100,6 @@ class Segment(NamedTuple):
     guard: Any = None
 
 
-# ---- travel -----------------------------------------------------------------------------------
-# Coordinates along which a gait travels, and which no periodic motion repeats.
-
-
-_UNUSED = 1.0e-9  # part of a coordinate in a direction: rounding
-
-
 class Travel:
     """Directions along which a motion may begin anywhere.
 
@@ -158,7 +150,6 @@ class TravelCoordinate(NamedTuple):
     """A translation of everything that moves with one joint.
 
     Attributes:
-        name: For people.
         q: Where its coordinate is in q; the place of a free body, its first.
         v: Where its rate is in v; that of a free body, its first.
         axis: Of the world, 0 to 2, for a free body; -1 for a joint of one coordinate.

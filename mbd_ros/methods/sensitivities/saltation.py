@@ -187,7 +187,6 @@ def derivative(flow: HybridFlow, f: Callable[[State], Array], x: State) -> Array
 
     Args:
         flow: Adds tangents, and says which are consistent; it is 0 across these.
-        x: Where.
     """
     basis = flow.basis(x)
     sizes = difference_steps(x, flow.size)

@@ -237,7 +237,6 @@ class SmoothingEquations:
         """Solution for b of shape (m, n), same shape.
 
         Args:
-            known: The b.
             refined: Take what is left of b as another b. Differences of smooth coefficients are
                 small and known well, a row of D' D times them is not: what stiff equations lose
                 to rounding comes back.

@@ -124,7 +124,6 @@ class CellBasis:
             coefficients: Shape (m, splines).
             width: Of a cell [s].
             wanted: As that of `LowPass.put`.
-            rows: The samples.
         """
         orders = sorted({order for order, *_ in wanted})
         lacking = self._groups * self._several - self._cells

@@ -23,7 +23,7 @@ from mbd_ros.methods.simulation.shown_accelerations import seen_at
 from mbd_ros.methods.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
-    from mbd_ros.methods.events.event import Event
+    from mbd_ros.methods.events.step_events import Event
     from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
     from mbd_ros.methods.simulation.noisy_sensors import NoisySensors
 

@@ -18,7 +18,6 @@ class NoisySensors:
     """Measurements of a simulation.
 
     Args:
-        sensors: What measures.
         seed: Of the noise.
 
     Attributes:

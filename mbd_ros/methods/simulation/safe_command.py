@@ -39,7 +39,6 @@ class CommandWatch:
         held: The last command, shape (nu,); None before the first.
         weight: Share of the safe command, 0 .. 1.
         age: Time since the last command, or since the start [s].
-        received: Commands taken.
         superseded: Those of them that another one replaced before a tick used them.
     """
 

@@ -20,8 +20,10 @@ from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.stepping import BlockStepper, HeldTable, SampleBlock
 from mbd_ros.methods.simulation.stall import WINDOW, StallWatch
 
-# ---- samples ----------------------------------------------------------------------------------
-# Samples of a run: when they are due, which inputs hold until then, and how a run is resumed.
+_FIRST = 64  # samples of the first block
+_MOST = 4096  # samples of any block
+_ROWS = 65536  # rows of held inputs of a block
+Alone = Callable[[State, Array | None, float], State]
 
 
 class SampleTimes(NamedTuple):
@@ -144,38 +146,6 @@ class Checkpoint(NamedTuple):
     worst: tuple[float, float]
     stops: Memory
     memory: Memory
-
-
-def refuse_other(checkpoint: Checkpoint, made_by: tuple[str, float, int, int, int]) -> None:
-    """Refuse a checkpoint of something else.
-
-    Raises:
-        ModelError: It is one of another method or dt, or of other sizes.
-    """
-    if checkpoint.made_by != made_by:
-        texts = (_words(*made) for made in (checkpoint.made_by, made_by))
-        raise ModelError("a checkpoint of {} cannot be continued by {}".format(*texts))
-
-
-def _words(method: str, dt: float, nq: int, nv: int, nz: int) -> str:
-    """What made a checkpoint, for messages; arguments are `Checkpoint.made_by`."""
-    states = f", {nv} velocities and {nz} internal states" if nz else f" and {nv} velocities"
-    return f"{method} with dt {dt:g} s, {nq} positions{states}"
-
-
-# ---- sample blocks ----------------------------------------------------------------------------
-# Runs of compiled code, which takes many samples at a time.
-#
-# A `BlockStepper` takes a block of samples at once; `SampleBlocks` tells it which inputs hold in
-# the
-# block, and knows how far the run is. What the samples inside a block depend on is found by taking
-# the block again, up to the sample that is asked for. `RunTable` takes a whole run at once.
-
-
-_FIRST = 64  # samples of the first block
-_MOST = 4096  # samples of any block
-_ROWS = 65536  # rows of held inputs of a block
-Alone = Callable[[State, Array | None, float], State]
 
 
 class SampleBlocks:
@@ -367,3 +337,20 @@ class RunTable:
             self.blocks = self._begin()
             rows = np.concatenate((self._first[None], *self.blocks.rows(watch, _MOST)))
         return rows
+
+
+def refuse_other(checkpoint: Checkpoint, made_by: tuple[str, float, int, int, int]) -> None:
+    """Refuse a checkpoint of something else.
+
+    Raises:
+        ModelError: It is one of another method or dt, or of other sizes.
+    """
+    if checkpoint.made_by != made_by:
+        texts = (_words(*made) for made in (checkpoint.made_by, made_by))
+        raise ModelError("a checkpoint of {} cannot be continued by {}".format(*texts))
+
+
+def _words(method: str, dt: float, nq: int, nv: int, nz: int) -> str:
+    """What made a checkpoint, for messages; arguments are `Checkpoint.made_by`."""
+    states = f", {nv} velocities and {nz} internal states" if nz else f" and {nv} velocities"
+    return f"{method} with dt {dt:g} s, {nq} positions{states}"

@@ -49,7 +49,6 @@ class StallWatch:
 
         Args:
             x: State of the integrated coordinates now.
-            u: Commands.
             end: Time at which the run is to end [s].
 
         Raises:
@@ -133,7 +132,6 @@ def refuse_crawl(
 
     Args:
         x: State of the integrated coordinates now.
-        u: Commands.
         step: Mean step in this tick [s].
         dt: Interval of the output [s].
         end: Of the tick [s].

@@ -288,8 +288,6 @@ class References:
     """Hands references in messages to the reference generator of the controlled joints.
 
     Args:
-        generator: Follows them.
-        names: Controlled joints.
         couplings: Of the scene: a reference may name dependent joints.
     """
 

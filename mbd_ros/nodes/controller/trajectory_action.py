@@ -32,7 +32,6 @@ class TrajectoryAction:
     enough.
 
     Args:
-        node: The controller.
         action: `action_type()`.
         pipeline: Gives the pipeline at work.
         refused: Told why a goal was refused.

@@ -29,7 +29,6 @@ class Diagnostics:
 
         Args:
             reasons: Level and sentence of each part of the node, at least one.
-            values: Details.
         """
         level = max(level for level, _ in reasons)
         texts = [text for own, text in reasons if text and (own != OK or level == OK)]

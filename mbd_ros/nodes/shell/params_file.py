@@ -68,7 +68,6 @@ def file_warnings(argv: Sequence[str], node_name: str) -> list[str]:
     """Faults that rcl accepts in silence in the files after --params-file.
 
     Args:
-        argv: Command line.
         node_name: Fully qualified name of the node.
 
     Returns:

@@ -154,8 +154,6 @@ class Shell(LifecycleNode):
         """Subscribe; the callback runs while active, and an MbdError in it deactivates.
 
         Args:
-            kind: Message class.
-            topic: Relative name.
             callback: Takes the message.
             qos: Profile or depth.
             single_publisher: Report more than one publisher.
@@ -195,7 +193,6 @@ class Shell(LifecycleNode):
 
         Args:
             entity: A publisher, subscription, timer, client, or whatever else must end then.
-            destroy: Destroys it.
             watch: Its topic, where faults of the topic are reported.
         """
         self._entities.keep(self.state, entity, destroy, *watch)

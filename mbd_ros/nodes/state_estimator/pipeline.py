@@ -39,7 +39,6 @@ class EstimateMessages(NamedTuple):
 
     Attributes:
         stamp: Of the estimate [ns].
-        states: All joints.
         disturbance: Unknown efforts, None without any.
         forces: Multipliers of all rows, None without any.
         deviations: Float64MultiArray of standard deviations, labelled.
@@ -323,10 +322,8 @@ class EstimateWriter:
         """The messages of an estimate.
 
         Args:
-            belief: The estimate.
             consistency: Of the newest innovations.
             stamp: Of the estimate [ns].
-            u: Inputs there.
 
         Raises:
             MessageError: A number is not finite.

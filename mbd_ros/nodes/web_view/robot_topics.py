@@ -209,7 +209,6 @@ class Newest:
 
     Args:
         node: The hearing node.
-        kind: Message class.
         topic: Relative or absolute name.
 
     Attributes:
@@ -338,7 +337,6 @@ class _Load(NamedTuple):
     """A load that is heard.
 
     Attributes:
-        newest: Its topic.
         about: The point that it refers to; None where its message names the link.
     """
 
@@ -392,7 +390,6 @@ class Leading:
         """Send the force of the mouse.
 
         Args:
-            pulled: The force.
             k: Kinematics at positions.
         """
         push = self._push, self._robot.point(pulled.link), pulled.link

@@ -14,8 +14,6 @@ class JointFriction(Load):
 
     Args:
         joint: Joint that rubs.
-        coulomb: Dry friction.
-        viscous: Viscous friction.
         smoothing: Velocity at which 76 % of the dry friction is reached.
     """
 

@@ -9,8 +9,8 @@ from mbd_ros.core.dynamics.linearization import Linearization
 from mbd_ros.core.state import Array, Memory, Mode, State
 from mbd_ros.core.thresholds import SAME_TIME
 from mbd_ros.errors import DivergedError, ModelError
+from mbd_ros.methods.integration.adams import integrals
 from mbd_ros.methods.integration.newton import FAILED, SLOW, converge
-from mbd_ros.methods.integration.polynomial import integrals
 from mbd_ros.methods.integration.stepping import Integrator, Stepper, clip
 
 

@@ -16,7 +16,6 @@ class Tachometer(Sensor):
 
     Args:
         joint: Joint that it is on.
-        noise: Standard deviation.
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.
     """

@@ -1,5 +1,7 @@
 """The lines of `mbd-ros check`: what a scene builds and leaves out, doubts, and costs."""
 
+from __future__ import annotations
+
 import math
 import sys
 import timeit
@@ -34,115 +36,9 @@ from mbd_ros.scene.reading.coupling_entries import coupling_kinds
 from mbd_ros.scene.runs.simulation import Tell, build_simulation, default_integrator, integrator_of
 from mbd_ros.scene.schema.sections import parts_in
 
-# ---- costs ------------------------------------------------------------------------------------
-# Times of a call of the equations of a scene, and of a step, measured.
-
-
 MEASURED = 0.02  # s for which a call is timed, a few times over
 _REPEATS = 5  # of which the shortest counts
 _CALLS, _STEPS = 2000, 1000  # at most, in one repeat
-_COSTS_PLAIN = {"type": "plain"}
-
-
-def inverse_cost(scene: Scene, x: State) -> str:
-    """Time of a call of inverse dynamics; empty where a motion does not show what it takes.
-
-    Args:
-        x: Consistent state of all joints.
-    """
-    if scene.unmeasured:
-        return ""
-    return _loop_cost(scene, x) if scene.has_loops else _open_chain_cost(scene)
-
-
-def _open_chain_cost(scene: Scene) -> str:
-    robot, model = scene.robot, scene.robot.model
-    q, v = pin.neutral(model), np.zeros(model.nv)
-    bare = _best(partial(pin.rnea, model, pin.Data(model), q, v, v))
-    inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
-    z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
-    ours = _best(lambda: inverse.solve(z, w, w, loads))
-    ratio = f"{ours / bare:.1f} x a bare rnea of {len(robot.joints)} joints"
-    return f"one inverse-dynamics call {ours * 1e6:.1f} us, {ratio}"
-
-
-def _loop_cost(scene: Scene, x: State) -> str:
-    drives = [section.key for section in scene.sections if "command" in section.offers]
-    every = scene.without(drives).closed_loop()  # so that no fixed base is out of reach
-    x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
-    call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
-    return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"
-
-
-def forward_cost(scene: Scene, system: System, x: State) -> str:
-    """Time of a call of forward dynamics.
-
-    Args:
-        x: Consistent start of what it integrates.
-    """
-    model, given = system.model, scene.initial
-    bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
-    y = x  # else in its mode
-    if system.exact is not None:
-        simulation = build_simulation(scene, solver=_COSTS_PLAIN)
-        y = inward(simulation.system, simulation.start(given))
-    ours = _best(evaluation_at(system, y))
-    return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
-
-
-def _best(call: object) -> float:
-    """Shortest time of a call [s], by as many calls as there is time for."""
-    timer = timeit.Timer(call)  # type: ignore[arg-type]
-    first = timer.timeit(1)
-    if first >= MEASURED:
-        return first
-    calls = int(min(max(MEASURED / first, 1), _CALLS))
-    return min(timer.repeat(_REPEATS, calls)) / calls
-
-
-def step_costs(scene: Scene, simulation: Simulation) -> str:
-    """Times of a step, empty where the first one fails."""
-    plain = build_simulation(scene, solver=_COSTS_PLAIN)
-    try:
-        ours, theirs = _step_time(simulation, scene), _step_time(plain, scene)
-    except (DivergedError, SolveError):
-        return ""
-    if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.plain_steps:
-        return "; plain steps at the start, where rows are near dependence"
-    name = plain.integrator.title
-    return f"; one step of {name} {ours * 1e6:.2g} us, plain {theirs * 1e6:.3g} us"
-
-
-def _step_time(simulation: Simulation, scene: Scene) -> float:
-    """Shortest time of a step from the start on, with its corrections [s]."""
-    y = simulation.start(scene.initial)
-    u, stepper = simulation.system.loads.sources.held(y.t), simulation.stepper
-    if isinstance(stepper, BlockStepper):
-        return _shortest(lambda: stepper.stride(y, u, math.inf, _STEPS)[1])
-    return _shortest(lambda: _advanced(simulation, y, u))
-
-
-def _advanced(simulation: Simulation, y: State, u: Array | None) -> int:
-    """Number of steps to the next sample."""
-    before = simulation.steps
-    simulation.advance(y, u, y.t + simulation.dt)
-    return simulation.steps - before
-
-
-def _shortest(steps: Callable[[], int]) -> float:
-    """Time of one of the steps that a function takes and counts [s]."""
-    times = []
-    for _ in range(_REPEATS):
-        begin = timeit.default_timer()
-        count = steps()
-        times.append((timeit.default_timer() - begin) / max(count, 1))
-    return min(times)
-
-
-# ---- check ------------------------------------------------------------------------------------
-# The lines of `mbd-ros check`: what a scene builds and leaves out, doubts, and costs.
-
-
 SMOOTHED_ORDER = 2  # across a kink of the accelerations, of any method
 _PLAIN = {"type": "plain"}
 _TIERS = {
@@ -165,11 +61,6 @@ def describe(scene: Scene, tell: Tell | None = None) -> Iterator[str]:
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
         for label, text in _lines(scene, tell):
             yield line(label, text)
-
-
-def line(label: str, text: str) -> str:
-    """A line of `check`."""
-    return f"{label:<12}{text}"
 
 
 def _lines(scene: Scene, tell: Tell | None) -> Iterator[Line]:
@@ -224,21 +115,6 @@ def _lines(scene: Scene, tell: Tell | None) -> Iterator[Line]:
     yield "cost", "; ".join(filter(None, (inverse, forward)))
 
 
-def member_lines(scene: Scene) -> Iterator[Line]:
-    """The robots and the other bodies."""
-    robot, bodies = scene.robot, scene.parts.get("bodies", {})
-    if len(robot.recipes) == 1 and not robot.recipes[0].name:
-        yield "robot", f"{robot.name} from {scene.source}, {robot.base_text}"
-        return
-    for recipe in robot.recipes:
-        if recipe.name in bodies:
-            how = "free" if recipe.base == "floating" else "placed"
-            yield "body", f"{recipe.name} from {recipe.source}, {how}"
-        else:
-            name = f"{recipe.name} from " if recipe.name else ""
-            yield "robot", f"{name}{recipe.source}, {recipe.base} base"
-
-
 def _mass_fault(scene: Scene, system: System) -> str:
     """Why forward dynamics has no answer at the start, empty where it has one."""
     try:
@@ -271,14 +147,6 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     return x, system.held.factor_at(x.t, x.q)
 
 
-def _apart(system: System, y: State) -> State:
-    if not system.layout.cones:
-        return y
-    from mbd_ros.methods.projection.initial_state import without_overlap
-
-    return without_overlap(system, y)
-
-
 def _settled(system: System, y: State) -> State:
     if not system.internals.nz:
         return y
@@ -287,97 +155,12 @@ def _settled(system: System, y: State) -> State:
     return settled(system, y, None)
 
 
-def part_lines(scene: Scene) -> Iterator[Line]:
-    """A line for every part whose section has a text: loads, then rows; then their states."""
-    for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
-        if section.check and section.key in scene.parts:
-            label, _, text = section.check.partition(":")
-            built = scene.parts[section.key]
-            keys = built if isinstance(built, Mapping) else repeat("")
-            for key, part in zip(keys, parts_in(section, built), strict=False):
-                words = {"name": key, **_words(part)}
-                yield (label, text.strip().format(part=part, **words))
-    yield from _state_lines(scene.internals, scene.initial.z)
+def _apart(system: System, y: State) -> State:
+    if not system.layout.cones:
+        return y
+    from mbd_ros.methods.projection.initial_state import without_overlap
 
-
-def _words(part: Any) -> dict[str, str]:
-    """Words for a part that texts of sections may use."""
-    where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
-    names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
-    words = {"kind": type(part).__name__, "at": f" at {names}" if names else ""}
-    words |= {"rows": "", "law": "", "contact": ""}
-    if hasattr(part, "pair") and hasattr(part, "features"):
-        words["contact"] = contact_words(part)
-    if isinstance(part, Part):
-        words["name"] = part.name
-    if hasattr(part, "rows"):
-        words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
-        words["law"] = part.law.kind.value
-    return words
-
-
-def contact_words(part: Any) -> str:
-    """Bodies and features, and whether events of a rigid contact can be found.
-
-    Args:
-        part: A contact.
-    """
-    a, b = part.pair.between
-    count = f"{len(part.features)} features: " if len(part.features) > 1 else ""
-    text = f"between {a.frame} and {b.frame}, {count}{listed(part.features)}"
-    law = getattr(part, "law", None)
-    if law is None or law.kind is not Kind.CONE:
-        return text
-    if part.pair.is_smooth:
-        return f"{text}; smooth, for event-driven integrators and moreau_jean"
-    return f"{text}; for moreau_jean, not event-driven: {part.pair.why_not}"
-
-
-def _state_lines(internals: Internals, z: Array) -> Iterator[Line]:
-    """A line for every internal state.
-
-    Args:
-        internals: Of the scene.
-        z: First values, NaN for those that the parts choose.
-    """
-    for i, first in enumerate(internals.completed(z).tolist()):
-        bounds = (internals.lower[i], internals.upper[i])
-        unit = f" [{internals.units[i]}]" if internals.units[i] else ""
-        text = "starts at equilibrium" if math.isnan(first) else f"starts at {first:g}"
-        inside = f", in {bounds[0]:g} .. {bounds[1]:g}" if np.isfinite(bounds).any() else ""
-        yield "state", f"{internals.names[i]}{unit}, {text}{inside}"
-
-
-def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
-    """A line for exact rows and one for smoothed ones, where there are any.
-
-    Methods at the velocity level solve for both alike.
-
-    Source: E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 1993,
-    II.6, on the order of steps across discontinuities.
-
-    Args:
-        layout: Its rows, some of which give way.
-    """
-    method = integrator_of(scene)
-    name, order = type(method).__name__, method.order
-    if method.at_velocity_level:
-        names = listed([block.part.name for block in layout.yielding])
-        yield "stepped", f"{names}; solved for once a step of {name}, impacts included"
-        return
-    exact, smoothed = (
-        [block.part.name for block in layout.yielding if block.smoothed is is_smoothed]
-        for is_smoothed in (False, True)
-    )
-    if exact:
-        text = "steps end where rows begin and cease to act"
-        yield "exact", f"{listed(exact)}; {text}, {name} keeps its order {order}"
-    if smoothed:
-        where = "in steps in which a row begins or ceases to act"
-        cost = f"{name} has order {SMOOTHED_ORDER} in place of {order} {where}"
-        if order <= SMOOTHED_ORDER:
-            cost = f"{name} has order {order} all the same"
-        yield "smoothed", f"{listed(smoothed)}; solved for in every evaluation, {cost}"
+    return without_overlap(system, y)
 
 
 def _reach(scene: Scene, x: State) -> Iterator[Line]:
@@ -407,24 +190,6 @@ def _forward(scene: Scene, system: System) -> str:
         title = "projection by default" if correction is None else type(correction).__name__
         text += f"; stabilization {title}"
     return text
-
-
-def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> Iterator[Line]:
-    """What was compiled for a scene that asks for it, and what a step costs.
-
-    Args:
-        has_start: Whether it has a start from which steps can be taken.
-        tell: Is told what takes time.
-
-    Raises:
-        SceneError: It demands compiled steps and cannot have them.
-    """
-    simulation = build_simulation(scene, tell=tell)
-    is_compiled = isinstance(simulation.stepper, BlockStepper)
-    text = simulation.how.partition(": ")[2]
-    if is_compiled and has_start:
-        text += step_costs(scene, simulation)
-    yield "compiled", text if is_compiled else f"not: {text}"
 
 
 def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) -> Iterator[Line]:
@@ -460,6 +225,133 @@ def _rank_lines(factor: RowFactor) -> Iterator[Line]:
         yield "warning", "near a toggle position: multipliers are unreliable here"
 
 
+def line(label: str, text: str) -> str:
+    """A line of `check`."""
+    return f"{label:<12}{text}"
+
+
+def part_lines(scene: Scene) -> Iterator[Line]:
+    """A line for every part whose section has a text: loads, then rows; then their states."""
+    for section in sorted(scene.sections, key=lambda section: "residual" in section.offers):
+        if section.check and section.key in scene.parts:
+            label, _, text = section.check.partition(":")
+            built = scene.parts[section.key]
+            keys = built if isinstance(built, Mapping) else repeat("")
+            for key, part in zip(keys, parts_in(section, built), strict=False):
+                words = {"name": key, **_words(part)}
+                yield (label, text.strip().format(part=part, **words))
+    yield from _state_lines(scene.internals, scene.initial.z)
+
+
+def _words(part: Any) -> dict[str, str]:
+    """Words for a part that texts of sections may use."""
+    where = getattr(part, "joints", None) or [getattr(part, "joint", None)]
+    names = ", ".join(str(getattr(joint, "name", joint)) for joint in where if joint)
+    words = {"kind": type(part).__name__, "at": f" at {names}" if names else ""}
+    words |= {"rows": "", "law": "", "contact": ""}
+    if hasattr(part, "pair") and hasattr(part, "features"):
+        words["contact"] = contact_words(part)
+    if isinstance(part, Part):
+        words["name"] = part.name
+    if hasattr(part, "rows"):
+        words["rows"] = ", ".join(f"{row.name} [{row.unit}]" for row in part.rows)
+        words["law"] = part.law.kind.value
+    return words
+
+
+def _state_lines(internals: Internals, z: Array) -> Iterator[Line]:
+    """A line for every internal state.
+
+    Args:
+        internals: Of the scene.
+        z: First values, NaN for those that the parts choose.
+    """
+    for i, first in enumerate(internals.completed(z).tolist()):
+        bounds = (internals.lower[i], internals.upper[i])
+        unit = f" [{internals.units[i]}]" if internals.units[i] else ""
+        text = "starts at equilibrium" if math.isnan(first) else f"starts at {first:g}"
+        inside = f", in {bounds[0]:g} .. {bounds[1]:g}" if np.isfinite(bounds).any() else ""
+        yield "state", f"{internals.names[i]}{unit}, {text}{inside}"
+
+
+def member_lines(scene: Scene) -> Iterator[Line]:
+    """The robots and the other bodies."""
+    robot, bodies = scene.robot, scene.parts.get("bodies", {})
+    if len(robot.recipes) == 1 and not robot.recipes[0].name:
+        yield "robot", f"{robot.name} from {scene.source}, {robot.base_text}"
+        return
+    for recipe in robot.recipes:
+        if recipe.name in bodies:
+            how = "free" if recipe.base == "floating" else "placed"
+            yield "body", f"{recipe.name} from {recipe.source}, {how}"
+        else:
+            name = f"{recipe.name} from " if recipe.name else ""
+            yield "robot", f"{name}{recipe.source}, {recipe.base} base"
+
+
+def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
+    """A line for exact rows and one for smoothed ones, where there are any.
+
+    Methods at the velocity level solve for both alike.
+
+    Source: E. Hairer, S. P. Nørsett, G. Wanner, Solving Ordinary Differential Equations I, 1993,
+    II.6, on the order of steps across discontinuities.
+
+    Args:
+        layout: Its rows, some of which give way.
+    """
+    method = integrator_of(scene)
+    name, order = type(method).__name__, method.order
+    if method.at_velocity_level:
+        names = listed([block.part.name for block in layout.yielding])
+        yield "stepped", f"{names}; solved for once a step of {name}, impacts included"
+        return
+    exact, smoothed = (
+        [block.part.name for block in layout.yielding if block.smoothed is is_smoothed]
+        for is_smoothed in (False, True)
+    )
+    if exact:
+        text = "steps end where rows begin and cease to act"
+        yield "exact", f"{listed(exact)}; {text}, {name} keeps its order {order}"
+    if smoothed:
+        where = "in steps in which a row begins or ceases to act"
+        cost = f"{name} has order {SMOOTHED_ORDER} in place of {order} {where}"
+        if order <= SMOOTHED_ORDER:
+            cost = f"{name} has order {order} all the same"
+        yield "smoothed", f"{listed(smoothed)}; solved for in every evaluation, {cost}"
+
+
+def contact_words(part: Any) -> str:
+    """Bodies and features, and whether events of a rigid contact can be found."""
+    a, b = part.pair.between
+    count = f"{len(part.features)} features: " if len(part.features) > 1 else ""
+    text = f"between {a.frame} and {b.frame}, {count}{listed(part.features)}"
+    law = getattr(part, "law", None)
+    if law is None or law.kind is not Kind.CONE:
+        return text
+    if part.pair.is_smooth:
+        return f"{text}; smooth, for event-driven integrators and moreau_jean"
+    return f"{text}; for moreau_jean, not event-driven: {part.pair.why_not}"
+
+
+def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> Iterator[Line]:
+    """What was compiled for a scene that asks for it, and what a step costs.
+
+    Args:
+        has_start: Whether it has a start from which steps can be taken.
+        tell: Is told what takes time.
+
+    Raises:
+        SceneError: It demands compiled steps and cannot have them.
+    """
+    simulation = build_simulation(scene, tell=tell)
+    is_compiled = isinstance(simulation.stepper, BlockStepper)
+    text = simulation.how.partition(": ")[2]
+    if is_compiled and has_start:
+        text += step_costs(scene, simulation)
+    yield "compiled", text if is_compiled else f"not: {text}"
+
+
 def unused_rubbing(scene: Scene) -> Iterator[str]:
     """Friction and damping of the description that no part of the scene brings in."""
     covered: set[tuple[str, str]] = set()
@@ -471,3 +363,98 @@ def unused_rubbing(scene: Scene) -> Iterator[str]:
         lacking = [name for name in names if (key, name) not in covered]
         if lacking:
             yield f"URDF <dynamics> {key} of {', '.join(lacking)}"
+
+
+def forward_cost(scene: Scene, system: System, x: State) -> str:
+    """Time of a call of forward dynamics.
+
+    Args:
+        x: Consistent start of what it integrates.
+    """
+    model, given = system.model, scene.initial
+    bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
+    y = x  # else in its mode
+    if system.exact is not None:
+        simulation = build_simulation(scene, solver=_PLAIN)
+        y = inward(simulation.system, simulation.start(given))
+    ours = _best(evaluation_at(system, y))
+    return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
+
+
+def _best(call: object) -> float:
+    """Shortest time of a call [s], by as many calls as there is time for."""
+    timer = timeit.Timer(call)  # type: ignore[arg-type]
+    first = timer.timeit(1)
+    if first >= MEASURED:
+        return first
+    calls = int(min(max(MEASURED / first, 1), _CALLS))
+    return min(timer.repeat(_REPEATS, calls)) / calls
+
+
+def inverse_cost(scene: Scene, x: State) -> str:
+    """Time of a call of inverse dynamics; empty where a motion does not show what it takes.
+
+    Args:
+        x: Consistent state of all joints.
+    """
+    if scene.unmeasured:
+        return ""
+    return _loop_cost(scene, x) if scene.has_loops else _open_chain_cost(scene)
+
+
+def _loop_cost(scene: Scene, x: State) -> str:
+    drives = [section.key for section in scene.sections if "command" in section.offers]
+    every = scene.without(drives).closed_loop()  # so that no fixed base is out of reach
+    x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
+    call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
+    return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"
+
+
+def _open_chain_cost(scene: Scene) -> str:
+    robot, model = scene.robot, scene.robot.model
+    q, v = pin.neutral(model), np.zeros(model.nv)
+    bare = _best(partial(pin.rnea, model, pin.Data(model), q, v, v))
+    inverse, loads = scene.inverse_dynamics(), [np.ones(6)] * len(scene.wrenches)
+    z, w = q[scene.couplings.q_index], v[scene.couplings.v_index]
+    ours = _best(lambda: inverse.solve(z, w, w, loads))
+    ratio = f"{ours / bare:.1f} x a bare rnea of {len(robot.joints)} joints"
+    return f"one inverse-dynamics call {ours * 1e6:.1f} us, {ratio}"
+
+
+def step_costs(scene: Scene, simulation: Simulation) -> str:
+    """Times of a step, empty where the first one fails."""
+    plain = build_simulation(scene, solver=_PLAIN)
+    try:
+        ours, theirs = _step_time(simulation, scene), _step_time(plain, scene)
+    except (DivergedError, SolveError):
+        return ""
+    if isinstance(simulation.stepper, BlockStepper) and simulation.stepper.plain_steps:
+        return "; plain steps at the start, where rows are near dependence"
+    name = plain.integrator.title
+    return f"; one step of {name} {ours * 1e6:.2g} us, plain {theirs * 1e6:.3g} us"
+
+
+def _step_time(simulation: Simulation, scene: Scene) -> float:
+    """Shortest time of a step from the start on, with its corrections [s]."""
+    y = simulation.start(scene.initial)
+    u, stepper = simulation.system.loads.sources.held(y.t), simulation.stepper
+    if isinstance(stepper, BlockStepper):
+        return _shortest(lambda: stepper.stride(y, u, math.inf, _STEPS)[1])
+    return _shortest(lambda: _advanced(simulation, y, u))
+
+
+def _shortest(steps: Callable[[], int]) -> float:
+    """Time of one of the steps that a function takes and counts [s]."""
+    times = []
+    for _ in range(_REPEATS):
+        begin = timeit.default_timer()
+        count = steps()
+        times.append((timeit.default_timer() - begin) / max(count, 1))
+    return min(times)
+
+
+def _advanced(simulation: Simulation, y: State, u: Array | None) -> int:
+    """Number of steps to the next sample."""
+    before = simulation.steps
+    simulation.advance(y, u, y.t + simulation.dt)
+    return simulation.steps - before

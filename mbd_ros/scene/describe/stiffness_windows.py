@@ -64,7 +64,6 @@ def windows_at(
 
     Args:
         parts: Contacts that give way.
-        method: The integrator.
         dt: Its step [s].
         x: State of all joints.
     """

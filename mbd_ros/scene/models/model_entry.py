@@ -25,7 +25,6 @@ def with_model(origin: Origin, entries: Entries) -> tuple[Origin, Entries]:
 
     Args:
         origin: Where they come from; its model is what an earlier call brought into them.
-        entries: By key.
 
     Raises:
         SceneError: Names file, element and what is wrong.

@@ -39,9 +39,7 @@ class Atom:
     """One point of a molecule.
 
     Attributes:
-        mass: Its mass.
         at: Its position in the template.
-        charge: Its charge.
         sigma: Diameter of its Lennard-Jones force.
         epsilon: Depth of it.
     """
@@ -59,7 +57,6 @@ class Site:
 
     Attributes:
         weights: Of atoms, by name; they sum to 1.
-        charge: Its charge.
         sigma: Diameter of its Lennard-Jones force.
         epsilon: Depth of it.
     """
@@ -75,7 +72,6 @@ class MoleculeEntry(NamedTuple):
 
     Attributes:
         where: File and key, for the messages.
-        kind: The molecules.
         atoms: Of one of them.
         sites: Of one of them.
         weights: Of the atoms in the sites, shape (sites, atoms).
@@ -94,7 +90,6 @@ def read_molecule(name: str, given: Any, where: str, fields: tuple[Field, ...]) 
     """A kind of molecules.
 
     Args:
-        name: Its key.
         given: What the file holds.
         where: File and key, for the messages.
         fields: What acts on its atoms.
@@ -184,12 +179,7 @@ def _refuse_same_places(template: Template) -> None:
 
 
 class Joined(NamedTuple):
-    """Rows and terms of a molecule.
-
-    Attributes:
-        rows: Rigid ones.
-        terms: Elastic ones.
-    """
+    """Rows and terms of a molecule."""
 
     rows: list[PointRow]
     terms: list[ElasticTerm]
@@ -288,7 +278,6 @@ def surfaces(template: Template, given: Any, length: float) -> list[PointRow]:
     """Rows that hold atoms on surfaces.
 
     Args:
-        template: The molecule.
         given: What the file holds.
         length: A length of the scene, for surfaces that have none.
 

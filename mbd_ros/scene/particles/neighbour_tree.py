@@ -13,7 +13,6 @@ def near_pairs(x: Array, box: Array | None, reach: float) -> NDArray[np.int32]:
     Args:
         x: Positions, shape (n, 3).
         box: Edges of the periodic box, shape (3,); None without one.
-        reach: The distance.
 
     Returns:
         Shape (pairs, 2), sorted.

@@ -1,5 +1,7 @@
 """The sections of a scene of particles."""
 
+from __future__ import annotations
+
 import importlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -26,127 +28,36 @@ from mbd_ros.scene.reading.building import Site as BuildingSite
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.nearest import nearest
 
-# ---- pair entries -----------------------------------------------------------------------------
-# The key `pairs` of the section `particles`: forces between molecules.
-
-
 _TREE = "mbd_ros.scene.particles.neighbour_tree"
 _OVERLAP = 0.4  # of sigma: nearer points have energies that no liquid has
 _ON_ONE_PLACE = 0.1  # of the largest sigma: the same of points that only have charges
+_HIGHEST = 12  # power of a coordinate
 
 
 @dataclass(frozen=True)
-class _PairsEntry:
-    """The key `pairs`."""
-
-    cutoff: Positive
-    coulomb: Literal["reaction_field"] = "reaction_field"
-    lennard_jones: Literal["force_shifted"] = "force_shifted"
+class _Uniform:
+    acceleration: Vector
 
 
-def read_pairs(
-    given: Any, where: str, entries: tuple[MoleculeEntry, ...], box: Array | None, units: Units
-) -> Pairs:
-    """Forces between the molecules.
-
-    Raises:
-        SceneError: Names file and key.
-    """
-    entry: _PairsEntry = schema.call(_PairsEntry, given, where)
-    if box is not None and entry.cutoff > 0.5 * float(box.min()):
-        raise SceneError(
-            f"{where}.cutoff: {entry.cutoff:g} is more than half the shortest edge of the box, "
-            f"{box.min():g}: a point would feel two images of another"
-        )
-    atoms: list[Atom | Site] = [
-        a for one in entries for _ in range(one.kind.count) for a in one.atoms
-    ]
-    sites = _sites(entries, len(atoms))
-    atoms += [site for one in entries for _ in range(one.kind.count) for site in one.sites]
-    if not any(atom.charge or atom.epsilon for atom in atoms):
-        raise SceneError(f"{where}: no atom has a charge, or sigma and epsilon")
-    with np.errstate(all="ignore"):
-        model = _model(entry.cutoff, box, atoms, units)
-        if not np.isfinite(model.powers).all():
-            raise SceneError(f"{where}: sigma and epsilon beside this cutoff overflow")
-    numbers = np.arange(sum(one.kind.count for one in entries), dtype=np.int32)
-    sizes = [[len(one.atoms), len(one.sites)] for one in entries for _ in range(one.kind.count)]
-    molecules = np.concatenate([np.repeat(numbers, size) for size in zip(*sizes, strict=True)])
-    near = importlib.import_module(_TREE).near_pairs
-    return Pairs(model, molecules, near, PlainKernel(model), sites)
+@dataclass(frozen=True)
+class _Polynomial:
+    terms: Sequence[Any]
 
 
-def _sites(entries: tuple[MoleculeEntry, ...], atoms: int) -> Sites | None:
-    """The points without mass; None without any."""
-    groups, first = [], 0
-    for one in entries:
-        if one.sites:
-            groups.append(SiteGroup(first, one.kind.count, one.weights))
-        first += one.kind.size
-    return Sites(groups, atoms) if groups else None
-
-
-def _model(
-    cutoff: float, box: Array | None, atoms: Sequence[Atom | Site], units: Units
-) -> PairModel:
-    kinds = list(dict.fromkeys((atom.sigma, atom.epsilon) for atom in atoms))
-    numbers = {kind: number for number, kind in enumerate(kinds)}
-    types = np.array([numbers[atom.sigma, atom.epsilon] for atom in atoms], dtype=np.int32)
-    sigma, epsilon = np.array(kinds).T
-    charges = np.sqrt(units.coulomb) * np.array([atom.charge for atom in atoms])
-    mixed = 0.5 * (sigma[:, None] + sigma), np.sqrt(epsilon[:, None] * epsilon)
-    return PairModel(cutoff, box, charges, types, *mixed)
-
-
-def refuse_overlap(system: ParticleSystem, pairs: Pairs, x: Array, where: str) -> None:
-    """Refuse points of two molecules that are much nearer than they ever are.
-
-    Args:
-        system: The points.
-        pairs: Their forces.
-        x: Positions at the start, shape (n, 3).
-        where: File and key, for the messages.
-
-    Raises:
-        SceneError: Names them and their distance.
-    """
-    model, names = pairs.model, system.names
-    if pairs.sites is not None:
-        x = pairs.sites.with_sites(x)
-        names += pairs.sites.count * ("a site",)
-    sigma = float(model.sigma.max()) or 0.01 * model.cutoff
-    found = pairs.pairs_within(x, _OVERLAP * sigma)
-    d = x[found.i] - x[found.j]
-    if model.box is not None:
-        d -= model.box * np.rint(d / model.box)
-    of_types = model.types[found.i], model.types[found.j]
-    accepted = np.maximum(
-        np.where(model.epsilon[of_types] > 0.0, _OVERLAP * model.sigma[of_types], 0.0),
-        _ON_ONE_PLACE * sigma,
-    )
-    apart = np.linalg.norm(d, axis=1)
-    if not (apart < accepted).any():
-        return
-    worst = int(np.argmin(apart / accepted))
-    both = f"{names[found.i[worst]]} and {names[found.j[worst]]}"
-    raise SceneError(
-        f"{where}: {np.count_nonzero(apart < accepted)} pairs of particles overlap; {both} are "
-        f"{apart[worst]:.3g} apart, accepted: {accepted[worst]:.3g} or more between molecules"
-    )
-
-
-# ---- particles entry --------------------------------------------------------------------------
-# The sections of a scene of particles.
-
-
-_HIGHEST = 12  # power of a coordinate
+_TYPES = {"uniform": _Uniform, "polynomial": _Polynomial}
+Step = Annotated[float, Within(1.0e-30, LARGEST)]
+QUANTITIES = ("positions", "velocities", "multipliers")
+_KEYS = ("length", "time", "mass")
+_ACCEPTED = (
+    "si (m, s, kg), molecular (angstrom, ps, amu) or reduced, or "
+    "{length: angstrom, time: ps, mass: amu}"
+)
 
 
 class Particles(NamedTuple):
     """The section `particles`, built.
 
     Attributes:
-        system: The points.
         entries: Its kinds of molecules, as read.
         box: Edges of the periodic box; None without one.
         at: Positions at the start, shape (n, 3).
@@ -206,30 +117,159 @@ def _box(given: Sequence[float] | None, where: str) -> Array | None:
     return box
 
 
-@dataclass(frozen=True)
-class _Uniform:
-    acceleration: Vector
+def _refuse_repeated(system: ParticleSystem, where: str) -> None:
+    """Refuse points of one name, of two kinds of which there is one molecule each."""
+    names = [name for kind in system.kinds if kind.count == 1 for name in kind.labels]
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise SceneError(f"{where}.molecules: two atoms are called {twice[0]}; rename one")
+
+
+def build_start(site: BuildingSite, given: Any) -> State:
+    """The section `initial`: positions and velocities, moved onto the rows.
+
+    Raises:
+        SceneError: Names file, key and particle.
+    """
+    entry: _Initial = schema.call(_Initial, given, site.where)
+    particles: Particles = site.parts["particles"]
+    units: Units = site.parts["units"]
+    system, q, v = particles.system, particles.at.copy(), np.zeros_like(particles.at)
+    if entry.temperature is not None:
+        draws = np.random.Generator(np.random.Philox(entry.seed)).normal(size=v.shape)
+        v = draws * np.sqrt(units.boltzmann * entry.temperature / system.masses)[:, None]
+    for key, values, out in (("position", entry.position, q), ("velocity", entry.velocity, v)):
+        for name, numbers in (values or {}).items():
+            where = f"{site.where}.{key}.{name}"
+            out[_number(system, name, where)] = schema.value(numbers, Vector, where)
+    try:
+        x = system.projected(State(0.0, q.ravel(), v.ravel()))
+    except SolveError as error:
+        raise SceneError(f"{site.where}: the rows cannot all hold: {error}") from error
+    if isinstance(system.pairs, Pairs):
+        refuse_overlap(system, system.pairs, x.q.reshape(-1, 3), site.where)
+    return x
 
 
 @dataclass(frozen=True)
-class _Term:
-    coefficient: float
-    powers: Sequence[int]
+class _Initial:
+    """The section `initial` of particles."""
+
+    position: Mapping[str, Any] | None = None
+    velocity: Mapping[str, Any] | None = None
+    temperature: NotNegative | None = None
+    seed: Seed = 0
+
+
+def _number(system: ParticleSystem, name: str, where: str) -> int:
+    if name not in system.names:
+        close = ", ".join(nearest(name, system.names) or system.names[:5])
+        raise SceneError(f"{where}: there is no such particle; nearest: {close}")
+    return system.names.index(name)
+
+
+def refuse_overlap(system: ParticleSystem, pairs: Pairs, x: Array, where: str) -> None:
+    """Refuse points of two molecules that are much nearer than they ever are.
+
+    Args:
+        x: Positions at the start, shape (n, 3).
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: Names them and their distance.
+    """
+    model, names = pairs.model, system.names
+    if pairs.sites is not None:
+        x = pairs.sites.with_sites(x)
+        names += pairs.sites.count * ("a site",)
+    sigma = float(model.sigma.max()) or 0.01 * model.cutoff
+    found = pairs.pairs_within(x, _OVERLAP * sigma)
+    d = x[found.i] - x[found.j]
+    if model.box is not None:
+        d -= model.box * np.rint(d / model.box)
+    of_types = model.types[found.i], model.types[found.j]
+    accepted = np.maximum(
+        np.where(model.epsilon[of_types] > 0.0, _OVERLAP * model.sigma[of_types], 0.0),
+        _ON_ONE_PLACE * sigma,
+    )
+    apart = np.linalg.norm(d, axis=1)
+    if not (apart < accepted).any():
+        return
+    worst = int(np.argmin(apart / accepted))
+    both = f"{names[found.i[worst]]} and {names[found.j[worst]]}"
+    raise SceneError(
+        f"{where}: {np.count_nonzero(apart < accepted)} pairs of particles overlap; {both} are "
+        f"{apart[worst]:.3g} apart, accepted: {accepted[worst]:.3g} or more between molecules"
+    )
+
+
+def build_time_step(site: BuildingSite, given: Any) -> float:
+    """The section `dt`, in the unit of time of the scene."""
+    step: float = schema.value(given, Step, site.where)
+    return step
+
+
+def build_record(site: BuildingSite, given: Any) -> Record:
+    """The section `record`."""
+    record: Record = schema.call(Record, given, site.where)
+    for name in record.quantities or ():
+        if name not in QUANTITIES:
+            accepted = ", ".join(QUANTITIES)
+            raise SceneError(f"{site.where}.quantities: unknown {name!r}, accepted: {accepted}")
+    return record
 
 
 @dataclass(frozen=True)
-class _Polynomial:
-    terms: Sequence[Any]
+class Record:
+    """The section `record`.
+
+    Attributes:
+        every: Steps from one sample to the next.
+        quantities: What the samples hold beside energies; None chooses by the number of particles.
+    """
+
+    every: Annotated[int, Within(1, 10**9)] = 1
+    quantities: Sequence[str] | None = None
 
 
-_TYPES = {"uniform": _Uniform, "polynomial": _Polynomial}
-Step = Annotated[float, Within(1.0e-30, LARGEST)]
-QUANTITIES = ("positions", "velocities", "multipliers")
-_KEYS = ("length", "time", "mass")
-_ACCEPTED = (
-    "si (m, s, kg), molecular (angstrom, ps, amu) or reduced, or "
-    "{length: angstrom, time: ps, mass: amu}"
-)
+def build_solver(site: BuildingSite, given: Any) -> ParticleSolver:
+    """The section `solver`."""
+    solver: ParticleSolver = schema.call(ParticleSolver, given, site.where)
+    return solver
+
+
+@dataclass(frozen=True)
+class ParticleSolver:
+    """The section `solver` of particles.
+
+    Attributes:
+        type: Whether forces of pairs and steps of rigid triangles are native code: `plain` not,
+            `compiled` always, `auto` where there is a compiler.
+    """
+
+    type: Literal["plain", "compiled", "auto"] = "plain"
+
+
+def build_units(site: BuildingSite, given: Any) -> Units:
+    """Units by name, or by length, time and mass that belong together.
+
+    Raises:
+        SceneError: Other words, or units of two systems.
+    """
+    if isinstance(given, str) and given in UNITS:
+        return UNITS[given]
+    if not isinstance(given, Mapping) or set(given) != set(_KEYS):
+        raise SceneError(f"{site.where}: got {given!r}, accepted: {_ACCEPTED}")
+    words = tuple(given[key] for key in _KEYS)
+    for units in (SI, MOLECULAR, REDUCED):
+        if words == units.words[:3]:
+            return units
+    owners = {w: u.name for u in (SI, MOLECULAR) for w in u.words[:3]}
+    unknown = [word for word in words if not isinstance(word, str) or word not in owners]
+    if unknown:
+        raise SceneError(f"{site.where}: unknown unit {unknown[0]!r}, accepted: {_ACCEPTED}")
+    mixed = ", ".join(f"{word} of {owners[word]}" for word in words)
+    raise SceneError(f"{site.where}: units of two systems, {mixed}; accepted: {_ACCEPTED}")
 
 
 def read_fields(given: Any, where: str) -> tuple[Field, ...]:
@@ -265,121 +305,70 @@ def _field(entry: Any, where: str) -> Field:
     return PolynomialField(np.array([term.coefficient for term in terms]), powers)
 
 
-def _refuse_repeated(system: ParticleSystem, where: str) -> None:
-    """Refuse points of one name, of two kinds of which there is one molecule each."""
-    names = [name for kind in system.kinds if kind.count == 1 for name in kind.labels]
-    twice = [name for name in names if names.count(name) > 1]
-    if twice:
-        raise SceneError(f"{where}.molecules: two atoms are called {twice[0]}; rename one")
-
-
 @dataclass(frozen=True)
-class _Initial:
-    """The section `initial` of particles."""
-
-    position: Mapping[str, Any] | None = None
-    velocity: Mapping[str, Any] | None = None
-    temperature: NotNegative | None = None
-    seed: Seed = 0
+class _Term:
+    coefficient: float
+    powers: Sequence[int]
 
 
-def build_start(site: BuildingSite, given: Any) -> State:
-    """The section `initial`: positions and velocities, moved onto the rows.
+def read_pairs(
+    given: Any, where: str, entries: tuple[MoleculeEntry, ...], box: Array | None, units: Units
+) -> Pairs:
+    """Forces between the molecules.
 
     Raises:
-        SceneError: Names file, key and particle.
+        SceneError: Names file and key.
     """
-    entry: _Initial = schema.call(_Initial, given, site.where)
-    particles: Particles = site.parts["particles"]
-    units: Units = site.parts["units"]
-    system, q, v = particles.system, particles.at.copy(), np.zeros_like(particles.at)
-    if entry.temperature is not None:
-        draws = np.random.Generator(np.random.Philox(entry.seed)).normal(size=v.shape)
-        v = draws * np.sqrt(units.boltzmann * entry.temperature / system.masses)[:, None]
-    for key, values, out in (("position", entry.position, q), ("velocity", entry.velocity, v)):
-        for name, numbers in (values or {}).items():
-            where = f"{site.where}.{key}.{name}"
-            out[_number(system, name, where)] = schema.value(numbers, Vector, where)
-    try:
-        x = system.projected(State(0.0, q.ravel(), v.ravel()))
-    except SolveError as error:
-        raise SceneError(f"{site.where}: the rows cannot all hold: {error}") from error
-    if isinstance(system.pairs, Pairs):
-        refuse_overlap(system, system.pairs, x.q.reshape(-1, 3), site.where)
-    return x
-
-
-def _number(system: ParticleSystem, name: str, where: str) -> int:
-    if name not in system.names:
-        close = ", ".join(nearest(name, system.names) or system.names[:5])
-        raise SceneError(f"{where}: there is no such particle; nearest: {close}")
-    return system.names.index(name)
-
-
-def build_time_step(site: BuildingSite, given: Any) -> float:
-    """The section `dt`, in the unit of time of the scene."""
-    step: float = schema.value(given, Step, site.where)
-    return step
+    entry: _PairsEntry = schema.call(_PairsEntry, given, where)
+    if box is not None and entry.cutoff > 0.5 * float(box.min()):
+        raise SceneError(
+            f"{where}.cutoff: {entry.cutoff:g} is more than half the shortest edge of the box, "
+            f"{box.min():g}: a point would feel two images of another"
+        )
+    atoms: list[Atom | Site] = [
+        a for one in entries for _ in range(one.kind.count) for a in one.atoms
+    ]
+    sites = _sites(entries, len(atoms))
+    atoms += [site for one in entries for _ in range(one.kind.count) for site in one.sites]
+    if not any(atom.charge or atom.epsilon for atom in atoms):
+        raise SceneError(f"{where}: no atom has a charge, or sigma and epsilon")
+    with np.errstate(all="ignore"):
+        model = _model(entry.cutoff, box, atoms, units)
+        if not np.isfinite(model.powers).all():
+            raise SceneError(f"{where}: sigma and epsilon beside this cutoff overflow")
+    numbers = np.arange(sum(one.kind.count for one in entries), dtype=np.int32)
+    sizes = [[len(one.atoms), len(one.sites)] for one in entries for _ in range(one.kind.count)]
+    molecules = np.concatenate([np.repeat(numbers, size) for size in zip(*sizes, strict=True)])
+    near = importlib.import_module(_TREE).near_pairs
+    return Pairs(model, molecules, near, PlainKernel(model), sites)
 
 
 @dataclass(frozen=True)
-class Record:
-    """The section `record`.
+class _PairsEntry:
+    """The key `pairs`."""
 
-    Attributes:
-        every: Steps from one sample to the next.
-        quantities: What the samples hold beside energies; None chooses by the number of particles.
-    """
-
-    every: Annotated[int, Within(1, 10**9)] = 1
-    quantities: Sequence[str] | None = None
+    cutoff: Positive
+    coulomb: Literal["reaction_field"] = "reaction_field"
+    lennard_jones: Literal["force_shifted"] = "force_shifted"
 
 
-def build_record(site: BuildingSite, given: Any) -> Record:
-    """The section `record`."""
-    record: Record = schema.call(Record, given, site.where)
-    for name in record.quantities or ():
-        if name not in QUANTITIES:
-            accepted = ", ".join(QUANTITIES)
-            raise SceneError(f"{site.where}.quantities: unknown {name!r}, accepted: {accepted}")
-    return record
+def _sites(entries: tuple[MoleculeEntry, ...], atoms: int) -> Sites | None:
+    """The points without mass; None without any."""
+    groups, first = [], 0
+    for one in entries:
+        if one.sites:
+            groups.append(SiteGroup(first, one.kind.count, one.weights))
+        first += one.kind.size
+    return Sites(groups, atoms) if groups else None
 
 
-@dataclass(frozen=True)
-class ParticleSolver:
-    """The section `solver` of particles.
-
-    Attributes:
-        type: Whether forces of pairs and steps of rigid triangles are native code: `plain` not,
-            `compiled` always, `auto` where there is a compiler.
-    """
-
-    type: Literal["plain", "compiled", "auto"] = "plain"
-
-
-def build_solver(site: BuildingSite, given: Any) -> ParticleSolver:
-    """The section `solver`."""
-    solver: ParticleSolver = schema.call(ParticleSolver, given, site.where)
-    return solver
-
-
-def build_units(site: BuildingSite, given: Any) -> Units:
-    """Units by name, or by length, time and mass that belong together.
-
-    Raises:
-        SceneError: Other words, or units of two systems.
-    """
-    if isinstance(given, str) and given in UNITS:
-        return UNITS[given]
-    if not isinstance(given, Mapping) or set(given) != set(_KEYS):
-        raise SceneError(f"{site.where}: got {given!r}, accepted: {_ACCEPTED}")
-    words = tuple(given[key] for key in _KEYS)
-    for units in (SI, MOLECULAR, REDUCED):
-        if words == units.words[:3]:
-            return units
-    owners = {w: u.name for u in (SI, MOLECULAR) for w in u.words[:3]}
-    unknown = [word for word in words if not isinstance(word, str) or word not in owners]
-    if unknown:
-        raise SceneError(f"{site.where}: unknown unit {unknown[0]!r}, accepted: {_ACCEPTED}")
-    mixed = ", ".join(f"{word} of {owners[word]}" for word in words)
-    raise SceneError(f"{site.where}: units of two systems, {mixed}; accepted: {_ACCEPTED}")
+def _model(
+    cutoff: float, box: Array | None, atoms: Sequence[Atom | Site], units: Units
+) -> PairModel:
+    kinds = list(dict.fromkeys((atom.sigma, atom.epsilon) for atom in atoms))
+    numbers = {kind: number for number, kind in enumerate(kinds)}
+    types = np.array([numbers[atom.sigma, atom.epsilon] for atom in atoms], dtype=np.int32)
+    sigma, epsilon = np.array(kinds).T
+    charges = np.sqrt(units.coulomb) * np.array([atom.charge for atom in atoms])
+    mixed = 0.5 * (sigma[:, None] + sigma), np.sqrt(epsilon[:, None] * epsilon)
+    return PairModel(cutoff, box, charges, types, *mixed)

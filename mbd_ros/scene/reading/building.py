@@ -1,5 +1,7 @@
 """Entries of a file -> built sections, by the table of sections."""
 
+from __future__ import annotations
+
 import importlib
 import re
 from collections.abc import Iterator, Mapping, Sequence
@@ -15,13 +17,183 @@ from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.schema.code_permission import code_of_others, require_permission
 from mbd_ros.scene.schema.sections import SECTIONS, Section, keys, ordered, parts_in
 
-# ---- part names -------------------------------------------------------------------------------
-# Names of parts: given by `name`, or else made of joint or frame and type; unique in a scene.
-
-
 _NAME, _OTHER = re.compile(r"[\w/-]{1,255}"), re.compile(r"[^\w/-]")
 # Keys that say where a part is.
 _PLACES = ("joint", "joints", "frame", "frame_b", "frame_a", "path")
+
+
+class Kept(NamedTuple):
+    """What is built already.
+
+    Attributes:
+        sections: Whole sections by key.
+        parts: Parts of others: by key of the section, then as in `Site.kept`.
+    """
+
+    sections: Mapping[str, Any] = MappingProxyType({})
+    parts: Mapping[str, Mapping[Any, Any]] = MappingProxyType({})
+
+
+def build(
+    origin: Origin,
+    entries: Mapping[str, Any],
+    table: Sequence[Section],
+    kept: Kept = Kept(),  # noqa: B008, a constant
+    scene: Scene | None = None,
+) -> Built:
+    """Build the sections from their entries, in the order that `after` demands.
+
+    Args:
+        origin: Where the entries come from.
+        kept: What is built already.
+        scene: The scene that a task is asked of; None for the sections of a scene.
+
+    Raises:
+        SceneError: Names file, key, what is wrong and what is accepted.
+    """
+    parts: dict[str, Any] = {}
+    robot: Robot | None = None
+    for section in ordered(table):
+        given = entries.get(section.key, section.absent)
+        if section.key in kept.sections:
+            parts[section.key] = kept.sections[section.key]
+        elif given is not None:
+            others = kept.parts.get(section.key, {})
+            site = Site(section, origin, robot, parts, others, scene)
+            parts[section.key] = _builder(section)(site, given)
+        else:
+            continue
+        if section.key == "robot":
+            robot = parts["robot"]
+        elif robot is not None:
+            robot = _with_armature(robot, parts_in(section, parts[section.key]))
+    if scene is None:  # parts of a task have no names
+        refuse_repeated(origin.name, parts, robot)
+    return Built(parts, robot)
+
+
+def _builder(section: Section) -> Any:
+    module, _, name = section.build.partition(":")
+    return getattr(importlib.import_module(module), name)
+
+
+def _with_armature(robot: Robot, parts: Sequence[Any]) -> Robot:
+    """The robot with the inertia that drives among the parts add to its joints."""
+    drives = [part for part in parts if hasattr(part, "armature")]
+    added = sum(drive.armature() for drive in drives)
+    if not drives or not added.any():
+        return robot
+    model = robot.model.copy()
+    model.armature = model.armature + added
+    return replace(robot, model=model)
+
+
+class Site(NamedTuple):
+    """The knowledge of the builder of a section.
+
+    Attributes:
+        section: Its line of the table.
+        origin: The file, or where else the entries came from.
+        robot: The robot with the inertia of the drives that are built; None before it is.
+        parts: The sections that are built, by key.
+        kept: Parts of this section that are built already, by their place in the list or by their
+            key; a builder may build them again.
+        scene: The scene that a task is asked of; None while a scene is built.
+    """
+
+    section: Section
+    origin: Origin
+    robot: Robot | None
+    parts: Mapping[str, Any]
+    kept: Mapping[Any, Any] = MappingProxyType({})
+    scene: Scene | None = None
+
+    @property
+    def where(self) -> str:
+        """File and key, for the messages."""
+        return f"{self.origin.name}: {self.section.key}"
+
+
+class Built(NamedTuple):
+    """Built sections.
+
+    Attributes:
+        robot: The robot with the inertia of all drives; None without a section `robot`.
+    """
+
+    parts: dict[str, Any]
+    robot: Robot | None
+
+
+def table_of(origin: Origin, entries: Mapping[str, Any], foreign: Mapping[str, str]) -> Table:
+    """The table of the sections that a scene has, those of other packages included.
+
+    Args:
+        origin: Where the entries come from.
+        foreign: As `foreign_keys` gives it.
+
+    Raises:
+        SceneError: Code of others that nobody permitted, or that is no section.
+    """
+    code = {**foreign, **code_of_others(entries, tuple(foreign))}
+    require_permission(origin.name, code)
+    return Table((*SECTIONS, *_imported(origin, foreign)), code)
+
+
+class Table(NamedTuple):
+    """The sections that some entries have.
+
+    Attributes:
+        sections: Those of this package, then those of others.
+        code: Key -> `module:NAME` of what comes from outside this package.
+    """
+
+    sections: tuple[Section, ...]
+    code: Mapping[str, str]
+
+
+def _imported(origin: Origin, foreign: Mapping[str, str]) -> list[Section]:
+    if not foreign:
+        return []
+    from mbd_ros.scene.schema.foreign_sections import import_section
+
+    return [import_section(key, target, origin.name) for key, target in foreign.items()]
+
+
+def foreign_keys(origin: Origin, entries: Mapping[str, Any]) -> dict[str, str]:
+    """Key -> entry point of those sections that other packages declare; nothing is imported.
+
+    Raises:
+        SceneError: A key that nobody knows.
+    """
+    unknown = [key for key in entries if key not in keys(SECTIONS)]
+    foreign = _declared(unknown)
+    refuse_unknown(origin, [key for key in unknown if key not in foreign], SECTIONS)
+    return foreign
+
+
+def _declared(unknown: Sequence[str]) -> dict[str, str]:
+    if not unknown:
+        return {}
+    from mbd_ros.scene.schema.foreign_sections import declared
+
+    return declared(unknown)
+
+
+def refuse_unknown(origin: Origin, unknown: Sequence[str], table: Sequence[Section]) -> None:
+    """Refuse the first of the keys that are in no table.
+
+    Raises:
+        SceneError: Names it and what is accepted.
+    """
+    if unknown:
+        accepted = ", ".join(keys(table))
+        raise SceneError(f"{origin.name}: unknown key '{unknown[0]}', accepted: {accepted}")
+
+
+def present(entries: Mapping[str, Any]) -> dict[str, Any]:
+    """The entries without those that are null."""
+    return {key: entry for key, entry in entries.items() if entry is not None}
 
 
 class NamedEntry(NamedTuple):
@@ -36,6 +208,36 @@ class NamedEntry(NamedTuple):
     where: str
     given: Any
     name: str | None
+
+
+def named_entry(given: Any, where: str) -> NamedEntry:
+    """An entry whose name is told from what its part is built of.
+
+    Args:
+        given: What the file holds.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: A name that is not accepted.
+    """
+    if not isinstance(given, Mapping) or "name" not in given:
+        return NamedEntry(where, given, None)
+    rest = {key: value for key, value in given.items() if key != "name"}
+    return NamedEntry(where, rest, checked_name(given["name"], f"{where}.name"))
+
+
+def checked_name(name: Any, where: str) -> str:
+    """A name that columns, topics and messages can carry.
+
+    Raises:
+        SceneError: It is none.
+    """
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        raise SceneError(
+            f"{where}: expected a name of up to 255 letters, digits, _, - and /, without a dot, "
+            f"got {name!r}"
+        )
+    return name
 
 
 def name_parts(
@@ -104,36 +306,6 @@ def _is_at_rest(key: str, place: str, robot: Robot | None) -> bool:
         return False
 
 
-def named_entry(given: Any, where: str) -> NamedEntry:
-    """An entry whose name is told from what its part is built of.
-
-    Args:
-        given: What the file holds.
-        where: File and key, for the messages.
-
-    Raises:
-        SceneError: A name that is not accepted.
-    """
-    if not isinstance(given, Mapping) or "name" not in given:
-        return NamedEntry(where, given, None)
-    rest = {key: value for key, value in given.items() if key != "name"}
-    return NamedEntry(where, rest, checked_name(given["name"], f"{where}.name"))
-
-
-def checked_name(name: Any, where: str) -> str:
-    """A name that columns, topics and messages can carry.
-
-    Raises:
-        SceneError: It is none.
-    """
-    if not isinstance(name, str) or not _NAME.fullmatch(name):
-        raise SceneError(
-            f"{where}: expected a name of up to 255 letters, digits, _, - and /, without a dot, "
-            f"got {name!r}"
-        )
-    return name
-
-
 def refuse_repeated(where: str, parts: Mapping[str, Any], robot: Robot | None) -> None:
     """Refuse a name that two parts have, or a part and a joint or a free base.
 
@@ -157,185 +329,3 @@ def refuse_repeated(where: str, parts: Mapping[str, Any], robot: Robot | None) -
         if name in owners:
             raise SceneError(f"{where}: {key}: name '{name}' is that of {owners[name]}, too")
         owners[name] = f"a part of {key}"
-
-
-# ---- building ---------------------------------------------------------------------------------
-# Entries of a file -> built sections, by the table of sections.
-
-
-class Kept(NamedTuple):
-    """What is built already.
-
-    Attributes:
-        sections: Whole sections by key.
-        parts: Parts of others: by key of the section, then as in `Site.kept`.
-    """
-
-    sections: Mapping[str, Any] = MappingProxyType({})
-    parts: Mapping[str, Mapping[Any, Any]] = MappingProxyType({})
-
-
-class Built(NamedTuple):
-    """Built sections.
-
-    Attributes:
-        parts: By key.
-        robot: The robot with the inertia of all drives; None without a section `robot`.
-    """
-
-    parts: dict[str, Any]
-    robot: Robot | None
-
-
-def build(
-    origin: Origin,
-    entries: Mapping[str, Any],
-    table: Sequence[Section],
-    kept: Kept = Kept(),  # noqa: B008, a constant
-    scene: Scene | None = None,
-) -> Built:
-    """Build the sections from their entries, in the order that `after` demands.
-
-    Args:
-        origin: Where the entries come from.
-        entries: By key.
-        table: The sections.
-        kept: What is built already.
-        scene: The scene that a task is asked of; None for the sections of a scene.
-
-    Raises:
-        SceneError: Names file, key, what is wrong and what is accepted.
-    """
-    parts: dict[str, Any] = {}
-    robot: Robot | None = None
-    for section in ordered(table):
-        given = entries.get(section.key, section.absent)
-        if section.key in kept.sections:
-            parts[section.key] = kept.sections[section.key]
-        elif given is not None:
-            others = kept.parts.get(section.key, {})
-            site = Site(section, origin, robot, parts, others, scene)
-            parts[section.key] = _builder(section)(site, given)
-        else:
-            continue
-        if section.key == "robot":
-            robot = parts["robot"]
-        elif robot is not None:
-            robot = _with_armature(robot, parts_in(section, parts[section.key]))
-    if scene is None:  # parts of a task have no names
-        refuse_repeated(origin.name, parts, robot)
-    return Built(parts, robot)
-
-
-class Site(NamedTuple):
-    """The knowledge of the builder of a section.
-
-    Attributes:
-        section: Its line of the table.
-        origin: The file, or where else the entries came from.
-        robot: The robot with the inertia of the drives that are built; None before it is.
-        parts: The sections that are built, by key.
-        kept: Parts of this section that are built already, by their place in the list or by their
-            key; a builder may build them again.
-        scene: The scene that a task is asked of; None while a scene is built.
-    """
-
-    section: Section
-    origin: Origin
-    robot: Robot | None
-    parts: Mapping[str, Any]
-    kept: Mapping[Any, Any] = MappingProxyType({})
-    scene: Scene | None = None
-
-    @property
-    def where(self) -> str:
-        """File and key, for the messages."""
-        return f"{self.origin.name}: {self.section.key}"
-
-
-def _builder(section: Section) -> Any:
-    module, _, name = section.build.partition(":")
-    return getattr(importlib.import_module(module), name)
-
-
-def _with_armature(robot: Robot, parts: Sequence[Any]) -> Robot:
-    """The robot with the inertia that drives among the parts add to its joints."""
-    drives = [part for part in parts if hasattr(part, "armature")]
-    added = sum(drive.armature() for drive in drives)
-    if not drives or not added.any():
-        return robot
-    model = robot.model.copy()
-    model.armature = model.armature + added
-    return replace(robot, model=model)
-
-
-class Table(NamedTuple):
-    """The sections that some entries have.
-
-    Attributes:
-        sections: Those of this package, then those of others.
-        code: Key -> `module:NAME` of what comes from outside this package.
-    """
-
-    sections: tuple[Section, ...]
-    code: Mapping[str, str]
-
-
-def foreign_keys(origin: Origin, entries: Mapping[str, Any]) -> dict[str, str]:
-    """Key -> entry point of those sections that other packages declare; nothing is imported.
-
-    Raises:
-        SceneError: A key that nobody knows.
-    """
-    unknown = [key for key in entries if key not in keys(SECTIONS)]
-    foreign = _declared(unknown)
-    refuse_unknown(origin, [key for key in unknown if key not in foreign], SECTIONS)
-    return foreign
-
-
-def table_of(origin: Origin, entries: Mapping[str, Any], foreign: Mapping[str, str]) -> Table:
-    """The table of the sections that a scene has, those of other packages included.
-
-    Args:
-        origin: Where the entries come from.
-        entries: By key.
-        foreign: As `foreign_keys` gives it.
-
-    Raises:
-        SceneError: Code of others that nobody permitted, or that is no section.
-    """
-    code = {**foreign, **code_of_others(entries, tuple(foreign))}
-    require_permission(origin.name, code)
-    return Table((*SECTIONS, *_imported(origin, foreign)), code)
-
-
-def refuse_unknown(origin: Origin, unknown: Sequence[str], table: Sequence[Section]) -> None:
-    """Refuse the first of the keys that are in no table.
-
-    Raises:
-        SceneError: Names it and what is accepted.
-    """
-    if unknown:
-        accepted = ", ".join(keys(table))
-        raise SceneError(f"{origin.name}: unknown key '{unknown[0]}', accepted: {accepted}")
-
-
-def present(entries: Mapping[str, Any]) -> dict[str, Any]:
-    """The entries without those that are null."""
-    return {key: entry for key, entry in entries.items() if entry is not None}
-
-
-def _declared(unknown: Sequence[str]) -> dict[str, str]:
-    if not unknown:
-        return {}
-    from mbd_ros.scene.schema.foreign_sections import declared
-
-    return declared(unknown)
-
-
-def _imported(origin: Origin, foreign: Mapping[str, str]) -> list[Section]:
-    if not foreign:
-        return []
-    from mbd_ros.scene.schema.foreign_sections import import_section
-
-    return [import_section(key, target, origin.name) for key, target in foreign.items()]

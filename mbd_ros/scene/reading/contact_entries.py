@@ -59,7 +59,6 @@ def with_shapes(site: Site, given: Any, where: str) -> Any:
 
     Args:
         site: Where the section is built.
-        given: The entry.
         where: File and key, for the messages.
 
     Raises:

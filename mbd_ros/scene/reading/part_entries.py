@@ -112,7 +112,6 @@ def build_part(kind: str, given: Any, where: str, *context: Any) -> Any:
 
     Args:
         kind: Key of the registry.
-        given: The entry.
         where: File and key, for the messages.
         *context: First arguments of the part, which do not come from the YAML.
 

@@ -1,5 +1,7 @@
 """Sections `robot`, `robots`, `bodies` and `gravity` of a scene -> one robot."""
 
+from __future__ import annotations
+
 import math
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -23,13 +25,44 @@ from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
 from mbd_ros.scene.schema.strict_yaml import read_text
 
-# ---- robot entry ------------------------------------------------------------------------------
-# Sections `robot`, `robots`, `bodies` and `gravity` of a scene -> one robot.
-
-
 _NAME = re.compile("[A-Za-z_][A-Za-z0-9_]{0,99}")  # topics are named after robots and bodies
 Metres = Annotated[Positive, Unit("m")]
 _Sides = Annotated[Sequence[Positive], Length(3), Unit("m")]
+
+
+def _box(size: _Sides) -> Array:
+    """Moments of inertia of 1 kg [m^2], shape (3,)."""
+    squares = np.square(size)
+    moments: Array = (squares.sum() - squares) / 12.0
+    return moments
+
+
+def _sphere(size: Metres) -> Array:
+    return np.full(3, 0.4 * size**2)
+
+
+def _cylinder(radius: Metres, length: Metres) -> Array:
+    across = radius**2 / 4.0 + length**2 / 12.0
+    return np.array((across, across, radius**2 / 2.0))
+
+
+def _capsule(radius: Metres, length: Metres) -> Array:
+    """A cylinder between two half spheres, whose centres of mass lie 3/8 r beyond its ends."""
+    share = length / (length + 4.0 / 3.0 * radius)  # of the mass, in the cylinder
+    half = 0.4 * radius**2 + length**2 / 4.0 + 0.375 * length * radius
+    across = share * (radius**2 / 4.0 + length**2 / 12.0) + (1.0 - share) * half
+    along = share * radius**2 / 2.0 + (1.0 - share) * 0.4 * radius**2
+    return np.array((across, across, along))
+
+
+_SHAPES: Mapping[str, Any] = {
+    "box": _box,
+    "sphere": _sphere,
+    "cylinder": _cylinder,
+    "capsule": _capsule,
+}
+_BY_KEYS = ("cylinder", "capsule")
+_KINDS = "box, sphere, cylinder, capsule, mesh"
 
 
 def build_robot(site: Site, given: Any) -> Robot:
@@ -66,43 +99,6 @@ def _read(recipes: Sequence[Recipe], gravity: Sequence[float], where: str) -> Ro
         return read_robots(recipes, gravity)
     except ModelError as error:
         raise SceneError(f"{where}: {error}") from error
-
-
-@dataclass(frozen=True)
-class RobotEntry:
-    """The `robot` section."""
-
-    urdf: str | None = None
-    description_topic: str | None = None
-    gravity: Sequence[float] | None = None
-    base: str = "fixed"
-    locked: Mapping[str, float] | None = None
-    rename: Mapping[str, str] | None = None
-    pose: Mapping[str, Any] | None = None
-    osim: str | None = None
-    any_inertias: bool = False
-    mjcf: str | None = None
-
-
-def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
-    """The section `robot`, checked.
-
-    Args:
-        where: File and key, for the messages.
-        given: What the file holds.
-        has_text: Whether a description came with the scene, so that none need be named.
-
-    Raises:
-        SceneError: Names file and key.
-    """
-    entry: RobotEntry = schema.call(RobotEntry, given, where)
-    given = (entry.urdf, entry.description_topic, entry.osim, entry.mjcf)
-    named = sum(one is not None for one in given)
-    if named != 1 and not (has_text and not named):
-        raise SceneError(f"{where}: give either 'urdf', 'osim', 'mjcf' or 'description_topic'")
-    if entry.gravity is not None and len(entry.gravity) != 3:
-        raise SceneError(f"{where}.gravity: expected 3 numbers, got {entry.gravity}")
-    return entry
 
 
 def _recipe(site: Site, entry: RobotEntry) -> Recipe:
@@ -150,6 +146,43 @@ def _joints_to_lock(recipe: Recipe) -> str:
     return f"; the robot has {', '.join(joint.name for joint in robot.joints)}"
 
 
+@dataclass(frozen=True)
+class RobotEntry:
+    """The `robot` section."""
+
+    urdf: str | None = None
+    description_topic: str | None = None
+    gravity: Sequence[float] | None = None
+    base: str = "fixed"
+    locked: Mapping[str, float] | None = None
+    rename: Mapping[str, str] | None = None
+    pose: Mapping[str, Any] | None = None
+    osim: str | None = None
+    any_inertias: bool = False
+    mjcf: str | None = None
+
+
+def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
+    """The section `robot`, checked.
+
+    Args:
+        where: File and key, for the messages.
+        given: What the file holds.
+        has_text: Whether a description came with the scene, so that none need be named.
+
+    Raises:
+        SceneError: Names file and key.
+    """
+    entry: RobotEntry = schema.call(RobotEntry, given, where)
+    given = (entry.urdf, entry.description_topic, entry.osim, entry.mjcf)
+    named = sum(one is not None for one in given)
+    if named != 1 and not (has_text and not named):
+        raise SceneError(f"{where}: give either 'urdf', 'osim', 'mjcf' or 'description_topic'")
+    if entry.gravity is not None and len(entry.gravity) != 3:
+        raise SceneError(f"{where}.gravity: expected 3 numbers, got {entry.gravity}")
+    return entry
+
+
 def build_robots(site: Site, given: Any) -> dict[str, Recipe]:
     """The section `robots`.
 
@@ -157,25 +190,6 @@ def build_robots(site: Site, given: Any) -> dict[str, Recipe]:
         SceneError: Names file, key and what is wrong.
     """
     return _each(site, given, _robot)
-
-
-def build_bodies(site: Site, given: Any) -> dict[str, Recipe]:
-    """The section `bodies`.
-
-    Raises:
-        SceneError: Names file, key and what is wrong.
-    """
-    return _each(site, given, _body)
-
-
-def build_gravity(site: Site, given: Any) -> Sequence[float]:
-    """The section `gravity` [m/s^2].
-
-    Raises:
-        SceneError: It is no vector.
-    """
-    gravity: Sequence[float] = schema.value(given, Vector, site.where)
-    return gravity
 
 
 def _each(site: Site, given: Any, read: Callable[..., Recipe]) -> dict[str, Recipe]:
@@ -205,6 +219,15 @@ def _robot(
     return Recipe(text, source, base, locked, rename, None, name, _placed(pose, where))
 
 
+def build_bodies(site: Site, given: Any) -> dict[str, Recipe]:
+    """The section `bodies`.
+
+    Raises:
+        SceneError: Names file, key and what is wrong.
+    """
+    return _each(site, given, _body)
+
+
 def _body(
     site: Site,
     where: str,
@@ -229,6 +252,16 @@ def _body(
     else:
         recipe = shaped(name, where, shape, mass, inertia)
     return recipe._replace(base="floating" if free else "fixed", pose=_placed(pose, where))
+
+
+def build_gravity(site: Site, given: Any) -> Sequence[float]:
+    """The section `gravity` [m/s^2].
+
+    Raises:
+        SceneError: It is no vector.
+    """
+    gravity: Sequence[float] = schema.value(given, Vector, site.where)
+    return gravity
 
 
 def shaped(
@@ -276,101 +309,6 @@ def _tensor(inertia: Sequence[Any], where: str) -> Array:
     if tensor.shape not in ((3,), (3, 3)):
         raise SceneError(f"{where}.inertia: expected 3 numbers or 3 x 3, got {inertia}")
     return np.diag(tensor) if tensor.ndim == 1 else tensor
-
-
-def _box(size: _Sides) -> Array:
-    """Moments of inertia of 1 kg [m^2], shape (3,)."""
-    squares = np.square(size)
-    moments: Array = (squares.sum() - squares) / 12.0
-    return moments
-
-
-def _sphere(size: Metres) -> Array:
-    return np.full(3, 0.4 * size**2)
-
-
-def _cylinder(radius: Metres, length: Metres) -> Array:
-    across = radius**2 / 4.0 + length**2 / 12.0
-    return np.array((across, across, radius**2 / 2.0))
-
-
-def _capsule(radius: Metres, length: Metres) -> Array:
-    """A cylinder between two half spheres, whose centres of mass lie 3/8 r beyond its ends."""
-    share = length / (length + 4.0 / 3.0 * radius)  # of the mass, in the cylinder
-    half = 0.4 * radius**2 + length**2 / 4.0 + 0.375 * length * radius
-    across = share * (radius**2 / 4.0 + length**2 / 12.0) + (1.0 - share) * half
-    along = share * radius**2 / 2.0 + (1.0 - share) * 0.4 * radius**2
-    return np.array((across, across, along))
-
-
-_SHAPES: Mapping[str, Any] = {
-    "box": _box,
-    "sphere": _sphere,
-    "cylinder": _cylinder,
-    "capsule": _capsule,
-}
-_BY_KEYS = ("cylinder", "capsule")
-
-
-# ---- link geometry ----------------------------------------------------------------------------
-# The `<collision>` and `<visual>` elements of a link -> shapes as a scene writes them.
-
-
-_KINDS = "box, sphere, cylinder, capsule, mesh"
-
-
-class Collision(NamedTuple):
-    """One geometry of a link.
-
-    Attributes:
-        kind: As scenes call it.
-        size: Its sizes, as scenes write them.
-        xyz: Its place on the link [m].
-        rpy: Its axes there [rad].
-    """
-
-    kind: str
-    size: Any
-    xyz: list[float]
-    rpy: list[float]
-
-
-def collisions_of(robot: Robot, name: str, where: str) -> list[Collision]:
-    """All collision geometries of a link.
-
-    Args:
-        name: Of the link, as the scene calls it.
-        where: File and key, for the messages.
-
-    Raises:
-        SceneError: The link has none, or one that is not understood; names it.
-    """
-    having = list[str]()
-    for recipe in robot.recipes:
-        tree = parse_urdf(recipe.text, recipe.source)
-        for link in tree.findall("link"):
-            known = names_of_link(recipe, tree, link.get("name", ""))
-            elements = link.findall("collision")
-            if name in known and elements:
-                texts = enumerate(elements)
-                return [
-                    geometry_of(recipe, one, f"{where}: {name}: <collision> {i}")
-                    for i, one in texts
-                ]
-            having += known[:1] if elements else []
-        if recipe.shape is not None:
-            having.append(recipe.name)
-    found = ", ".join(having) or "none has one"
-    raise SceneError(
-        f"{where}: link '{name}' has no <collision>; with one or a shape: {found}; or give the "
-        f"shape here, such as {{frame: {name}, sphere: 0.1}}"
-    )
-
-
-def names_of_link(recipe: Recipe, tree: ElementTree.Element, link: str) -> list[str]:
-    """What a link is called in the scene; the root goes by the name of its member, too."""
-    is_root = bool(recipe.name) and link == root_link(tree)
-    return [recipe.name, recipe.scoped(link)] if is_root else [recipe.scoped(link)]
 
 
 def geometry_of(recipe: Recipe, element: ElementTree.Element, where: str) -> Collision:
@@ -424,3 +362,57 @@ def _finite(text: str) -> Iterator[float]:
         if not math.isfinite(value) or abs(value) > LARGEST:
             return
         yield value
+
+
+def collisions_of(robot: Robot, name: str, where: str) -> list[Collision]:
+    """All collision geometries of a link.
+
+    Args:
+        name: Of the link, as the scene calls it.
+        where: File and key, for the messages.
+
+    Raises:
+        SceneError: The link has none, or one that is not understood; names it.
+    """
+    having = list[str]()
+    for recipe in robot.recipes:
+        tree = parse_urdf(recipe.text, recipe.source)
+        for link in tree.findall("link"):
+            known = names_of_link(recipe, tree, link.get("name", ""))
+            elements = link.findall("collision")
+            if name in known and elements:
+                texts = enumerate(elements)
+                return [
+                    geometry_of(recipe, one, f"{where}: {name}: <collision> {i}")
+                    for i, one in texts
+                ]
+            having += known[:1] if elements else []
+        if recipe.shape is not None:
+            having.append(recipe.name)
+    found = ", ".join(having) or "none has one"
+    raise SceneError(
+        f"{where}: link '{name}' has no <collision>; with one or a shape: {found}; or give the "
+        f"shape here, such as {{frame: {name}, sphere: 0.1}}"
+    )
+
+
+def names_of_link(recipe: Recipe, tree: ElementTree.Element, link: str) -> list[str]:
+    """What a link is called in the scene; the root goes by the name of its member, too."""
+    is_root = bool(recipe.name) and link == root_link(tree)
+    return [recipe.name, recipe.scoped(link)] if is_root else [recipe.scoped(link)]
+
+
+class Collision(NamedTuple):
+    """One geometry of a link.
+
+    Attributes:
+        kind: As scenes call it.
+        size: Its sizes, as scenes write them.
+        xyz: Its place on the link [m].
+        rpy: Its axes there [rad].
+    """
+
+    kind: str
+    size: Any
+    xyz: list[float]
+    rpy: list[float]

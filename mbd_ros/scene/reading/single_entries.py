@@ -1,5 +1,7 @@
 """Sections of one entry without a type: solver, step, start and safe command."""
 
+from __future__ import annotations
+
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
@@ -18,37 +20,8 @@ from mbd_ros.scene.built_scene import Solver
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema
 
-# ---- single entries ---------------------------------------------------------------------------
-# Sections of one entry without a type: solver, step, start and safe command.
-
-
-@dataclass(frozen=True)
-class _Initial:
-    """The `initial` section; joints start at 0, free bodies where they are placed, at rest."""
-
-    position: Mapping[str, float] | None = None
-    velocity: Mapping[str, float] | None = None
-    pose: Mapping[str, Any] | None = None
-    twist: Mapping[str, Any] | None = None
-    internal: Mapping[str, Any] | None = None
-    phase: str | None = None
-
-
-def build_solver(site: Site, given: Any) -> Any:
-    """The `solver` section."""
-    return schema.call(Solver, given, site.where)
-
-
-def build_safe(site: Site, given: Any) -> Any:
-    """The `safe` section."""
-    return schema.call(SafeCommand, given, site.where)
-
-
-def build_step(site: Site, given: Any) -> float:
-    """The `dt` section [s]."""
-    dt: float = schema.value(given, Unlimited, site.where)
-    refuse_dt(dt, site.where, SceneError)
-    return dt
+_SMALLEST = 1.0e-6  # length of a quaternion that still says which way to turn
+_Quaternion = Annotated[Sequence[float], Length(4), Unit("x, y, z, w")]
 
 
 def build_initial(site: Site, given: Any) -> State:
@@ -85,6 +58,18 @@ def build_initial(site: Site, given: Any) -> State:
     return State(0.0, q, v)
 
 
+@dataclass(frozen=True)
+class _Initial:
+    """The `initial` section; joints start at 0, free bodies where they are placed, at rest."""
+
+    position: Mapping[str, float] | None = None
+    velocity: Mapping[str, float] | None = None
+    pose: Mapping[str, Any] | None = None
+    twist: Mapping[str, Any] | None = None
+    internal: Mapping[str, Any] | None = None
+    phase: str | None = None
+
+
 def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array) -> None:
     """Write poses and velocities of free bodies into a configuration and a velocity."""
     if not (initial.pose or initial.twist):
@@ -105,12 +90,11 @@ def _place_bases(robot: Robot, initial: _Initial, where: str, q: Array, v: Array
                 v[base.v] = read_twist(entry, place, pin.XYZQUATToSE3(q[base.q]).rotation)
 
 
-# ---- pose entry -------------------------------------------------------------------------------
-# Poses and velocities of bodies as a scene writes them.
-
-
-_SMALLEST = 1.0e-6  # length of a quaternion that still says which way to turn
-_Quaternion = Annotated[Sequence[float], Length(4), Unit("x, y, z, w")]
+def build_step(site: Site, given: Any) -> float:
+    """The `dt` section [s]."""
+    dt: float = schema.value(given, Unlimited, site.where)
+    refuse_dt(dt, site.where, SceneError)
+    return dt
 
 
 def read_pose(given: Any, where: str) -> Array:
@@ -176,3 +160,13 @@ def _twist(
 ) -> Array:
     axes = np.eye(3) if expressed_in == "body" else rotation.T
     return np.concatenate((axes.dot(linear), axes.dot(angular)))
+
+
+def build_solver(site: Site, given: Any) -> Any:
+    """The `solver` section."""
+    return schema.call(Solver, given, site.where)
+
+
+def build_safe(site: Site, given: Any) -> Any:
+    """The `safe` section."""
+    return schema.call(SafeCommand, given, site.where)

@@ -257,8 +257,6 @@ def run_alone(
     """One run, taken alone; how many samples it has, and why it ended early.
 
     Args:
-        simulation: Takes it.
-        x: Its start.
         duration: [s].
         out: Gets the samples, those of `Runs.states`.
     """

@@ -93,7 +93,6 @@ def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> A
     """A value checked against a type hint and its range; integers pass as numbers.
 
     Args:
-        given: The value.
         hint: Its annotation, perhaps with a range.
         where: File and key, for the messages.
         accepted: Range of numbers whose annotation has none.

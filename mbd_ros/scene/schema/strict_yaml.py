@@ -51,7 +51,6 @@ def read_mapping(path: Path, what: str = "scene file") -> dict[str, Any]:
     """The mapping that a YAML file holds.
 
     Args:
-        path: The file.
         what: What it is, for the messages.
 
     Raises:

@@ -13,7 +13,7 @@ from mbd_ros.core.model.coupling_functions import Linear, Polynomial
 from mbd_ros.core.model.couplings import Coupling, Couplings
 from mbd_ros.core.model.robot_reader import read_robot
 from mbd_ros.core.rows.constraint import Level, Row, box, drive, unilateral
-from mbd_ros.core.rows.coupling_rows import CouplingRows
+from mbd_ros.core.rows.constraint_rows import CouplingRows
 from mbd_ros.core.rows.frame_rows import AxisRotation, FullRotation
 from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError, SceneError

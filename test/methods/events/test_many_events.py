@@ -10,7 +10,7 @@ import pytest
 import mbd_ros as mbd
 from mbd_ros.core.contracts import Guard, Load
 from mbd_ros.core.state import State
-from mbd_ros.methods.events.event import Event, EventLog
+from mbd_ros.methods.events.step_events import Event, EventLog
 from mbd_ros.methods.simulation.live_simulation import LiveSimulation
 from mbd_ros.methods.simulation.safe_command import CommandWatch
 

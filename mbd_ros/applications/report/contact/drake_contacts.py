@@ -74,7 +74,6 @@ class DrakeContacts:
     """One approximation, step and stiffness.
 
     Args:
-        problem: The problem.
         settings: How it is run.
     """
 

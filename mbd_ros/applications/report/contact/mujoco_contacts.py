@@ -38,7 +38,6 @@ class MujocoContacts:
     """One integrator, step, stiffness and treatment of slip.
 
     Args:
-        problem: The problem.
         integrator: End of a name in `mjtIntegrator`.
         dt: Step [s].
         share: Time constant of contacts in steps.

@@ -29,7 +29,6 @@ class OurContacts:
     """One integrator and step.
 
     Args:
-        problem: The problem.
         choice: How it is run.
     """
 

@@ -65,7 +65,6 @@ class Solid(NamedTuple):
     """A free rigid body.
 
     Attributes:
-        name: Its name.
         mass: [kg].
         shape: `sphere`, `box`, or `feet`: points below a box.
         size: Radius, or three lengths [m].

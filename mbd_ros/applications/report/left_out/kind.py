@@ -34,9 +34,6 @@ def operations(scene: Scene) -> Outcome:
 
     Parts are counted by leaving them out: what a scene does not name adds none.
 
-    Args:
-        scene: The scene.
-
     Returns:
         `operations`, of them `operations_loads` and `operations_rows`; or `uncounted`, why not.
     """
@@ -140,7 +137,6 @@ def costs(path: str, calls: int) -> Mapping[str, object]:
     """CPU time of the parts of a scene [us].
 
     Args:
-        path: Scene file.
         calls: Timed calls of each, five times over.
     """
     scene = load_scene(path)

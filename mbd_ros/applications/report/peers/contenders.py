@@ -55,7 +55,6 @@ class Ours:
     """This package.
 
     Args:
-        scene: The scene.
         choice: How it is run.
     """
 
@@ -89,7 +88,6 @@ def in_turn(
     The `spread` of a run that took too long to be repeated is None.
 
     Args:
-        contenders: All.
         times: Samples [s].
         judge: Errors of what a run found, or why it is no use: `stopped`.
         rounds: How often each is run.

@@ -50,7 +50,6 @@ class DrakeRun:
     """One integrator and accuracy or step, or the discrete plant with one step.
 
     Args:
-        task: The scene.
         scheme: Integration scheme; empty for the discrete plant.
         accuracy: Of the error control; None for fixed steps.
         dt: Step [s], or with error control longest first step.

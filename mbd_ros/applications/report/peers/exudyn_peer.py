@@ -31,7 +31,6 @@ class ExudynRun:
     """Generalized-alpha with one step.
 
     Args:
-        task: The scene.
         radius: Spectral radius at infinity, of index 3.
         dt: Step [s].
         index: Of the constraints: 3, or 2 with the trapezoidal rule, which alone has it there.

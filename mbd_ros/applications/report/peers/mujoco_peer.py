@@ -34,7 +34,6 @@ class MujocoRun:
     """One integrator, step and stiffness.
 
     Args:
-        task: The scene.
         integrator: Name in `mjtIntegrator`.
         dt: Step [s].
         share: Time constant of the constraints in steps.

@@ -29,7 +29,6 @@ def task_of(ground: Ground, states: Sequence[State] = ()) -> Task:
     """The task of a scene for other packages.
 
     Args:
-        ground: The scene.
         states: States of all joints on its motion. They show whether loops that are closed along
             some directions stay closed along the others.
 
@@ -263,7 +262,6 @@ class Rows:
     """Constraints as pairs of frames.
 
     Args:
-        scene: The scene.
         states: Of all joints, on its motion.
     """
 

@@ -64,7 +64,6 @@ def known(path: str, times: tuple[float, ...]) -> Known:
     """Converged motion of a scene at some times.
 
     Args:
-        path: Scene file.
         times: Samples [s], increasing, > 0.
 
     Raises:
@@ -194,7 +193,6 @@ class Choice(NamedTuple):
         solver: A tier of `mbd_ros.core.dynamics.tiers`, `plain` for the cheapest, `compiled` for
             the cheapest in native code.
         stabilization: Its entry; None where there is nothing to stabilize.
-        integrator: Its entry.
         dt: Step, or with a tolerance longest first step [s].
     """
 
@@ -334,7 +332,6 @@ def measure(scene: Scene, choice: Choice, motion: Known, repeats: int, most: flo
     """Run a scene and measure error and time.
 
     Args:
-        scene: The scene.
         choice: How it is run.
         motion: The converged motion.
         repeats: How often it is run; the best time counts.

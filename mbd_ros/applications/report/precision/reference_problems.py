@@ -98,7 +98,6 @@ def error(problem: Problem, robot: Robot, states: Sequence[State]) -> float:
     """Error of a run, to be compared with `low` and `high` of the reference.
 
     Args:
-        problem: The problem.
         robot: Robot of its scene.
         states: States of all joints at the first samples of the reference (or at all).
     """

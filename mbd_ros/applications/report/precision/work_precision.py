@@ -71,10 +71,6 @@ def cheapest(points: Sequence[Point], error: float) -> int | None:
 def cost_at(points: Sequence[Point], error: float) -> float | None:
     """Cost of an error on the front, between two runs by a power law.
 
-    Args:
-        points: Any runs.
-        error: Wanted error.
-
     Returns:
         None where no run is as precise; the cost of the cheapest run where that is more precise
         than wanted, since nothing is known of cheaper ones.

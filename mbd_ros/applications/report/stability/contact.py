@@ -206,7 +206,6 @@ class ContactRow(NamedTuple):
 
     Attributes:
         family: The extreme property.
-        label: Its size.
         problem: The problem; its error is relative.
         dt: Step of all methods [s].
         seconds: About how long it takes.

@@ -67,8 +67,6 @@ def equations(case: Case, tiers: list[str], stops: str | None = None) -> Verdict
     """Equations of motion, rows and energy along the reference motion, in some tiers.
 
     Args:
-        case: The case.
-        tiers: Solver types.
         stops: As that of `unexpected`.
     """
     found = _equations(case, tiers)
@@ -84,7 +82,6 @@ def unexpected(found: Verdict, stops: str | None) -> Verdict:
     """Judge a stop: wrong in a scene of this package that must not stop.
 
     Args:
-        found: A verdict.
         stops: Text of the expected stop, empty if none is; None for a scene of a user.
     """
     if found.kind != STOPPED or stops is None or (stops and stops in found.text):
@@ -139,7 +136,6 @@ def imbalance(case: Case, finer: int = 1) -> tuple[float, float]:
     """Change of energy without its reason [J], and how much the quadrature may err [J].
 
     Args:
-        case: The case.
         finer: How many times as many points as those of the reference.
     """
     grid, fine = case.reference.grid, case.reference.fine
@@ -177,7 +173,6 @@ class Run(NamedTuple):
     Attributes:
         method: Key of `METHODS`.
         factor: Step in multiples of the longest one that `check` does not warn of.
-        tier: Solver type.
         dt: Step instead of the factor [s], if > 0.
     """
 
@@ -200,7 +195,6 @@ def every_method(factor: float, dt: float, repeats: bool, scene: Scene) -> list[
         factor: Step in multiples of the recommended one.
         dt: Step instead of the factor [s], if > 0.
         repeats: Whether other rows have the runs of methods that choose their steps.
-        scene: The scene.
     """
     return [
         Run(method, factor, "plain", dt)

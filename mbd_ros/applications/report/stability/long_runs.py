@@ -25,7 +25,6 @@ class LongScene(NamedTuple):
     """How a scene is run.
 
     Attributes:
-        title: For people.
         dt: Step [s].
     """
 

@@ -36,11 +36,7 @@ _STENCIL = ((-2, -1.0), (-1, 16.0), (0, -30.0), (1, 16.0), (2, -1.0))  # twelfth
 
 
 class Oracle:
-    """The equations of a scene, evaluated independently.
-
-    Args:
-        loaded: The scene.
-    """
+    """The equations of a scene, evaluated independently."""
 
     def __init__(self, loaded: LoadedScene) -> None:
         self.robot = loaded.scene.robot
@@ -90,7 +86,6 @@ class Oracle:
         """Faults of the accelerations and multipliers that a system finds.
 
         Args:
-            system: The system.
             y: Consistent state of its integrated coordinates.
         """
         x, (a, lam, bounded) = system.expand(y), self._solved(system, y)
@@ -184,9 +179,6 @@ class OracleForces:
     """Generalized forces of a scene without commands.
 
     Types that are not known here fall back on the part itself.
-
-    Args:
-        loaded: The scene.
     """
 
     def __init__(self, loaded: LoadedScene) -> None:

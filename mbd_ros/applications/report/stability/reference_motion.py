@@ -67,7 +67,6 @@ class Reference(NamedTuple):
     """A motion, and how far it can be trusted.
 
     Attributes:
-        grid: Its times.
         states: States of all joints, fewer than times if it stopped.
         fine: The same at a quarter of the interval.
         horizon: How many of them can be compared with: up to there both methods agree, and a
@@ -106,8 +105,6 @@ def reference(scene: Scene, grid: Grid, known: Known | None = None) -> Reference
     """The reference motion of a scene.
 
     Args:
-        scene: The scene.
-        grid: Its times.
         known: Gives the motion by other equations than those of the scene.
 
     Raises:
@@ -185,7 +182,6 @@ def _second(
     """How far another method is from these states at every time, and its name.
 
     Args:
-        scene: The scene.
         grid: The times, as long as a perturbation does not grow.
         states: The first motion there.
         size: Size of the motion.
@@ -284,12 +280,9 @@ def motion(
     """Run a scene and keep the states on a grid.
 
     Args:
-        scene: The scene.
-        method: Integrator entry.
         dt: A whole fraction of the interval [s], or a longer step than half of it, whose states
             are all kept.
         grid: When to keep states.
-        solver: Tier.
         **others: `start`: state to begin with; `stabilization`: entry.
     """
     found: list[State] = []

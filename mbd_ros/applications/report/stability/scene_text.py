@@ -12,12 +12,7 @@ ROBOT = "robot.urdf"
 
 
 class SceneText(NamedTuple):
-    """A scene file and the robot description that it names `robot.urdf`.
-
-    Attributes:
-        scene: YAML.
-        urdf: Robot description.
-    """
+    """A scene file and the robot description that it names `robot.urdf`."""
 
     scene: str
     urdf: str
@@ -82,7 +77,6 @@ def link(name: str, mass: float, com: Sequence[float], inertia: Any) -> str:
     """A `<link>`.
 
     Args:
-        name: Name.
         mass: [kg].
         com: Mass centre [m], shape (3,).
         inertia: About the mass centre, in the axes of the link [kg·m^2], shape (3, 3).
@@ -107,7 +101,6 @@ def joint(
     """A `<joint>` with wide limits from a parent link to a child link.
 
     Args:
-        name: Name.
         kind: revolute, continuous or prismatic.
         ends: Parent and child.
         at: Origin in the parent [m], shape (3,).

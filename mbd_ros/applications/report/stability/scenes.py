@@ -207,7 +207,6 @@ class Extreme(NamedTuple):
 
     Attributes:
         family: The extreme property.
-        label: Its size.
         load: Reads the scene.
         grid: Times of the comparison.
         factor: Step in multiples of the longest one without a warning; with `dt` unused.

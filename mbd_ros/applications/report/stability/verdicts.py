@@ -72,11 +72,9 @@ def judge(
     """The verdict on one run.
 
     Args:
-        case: The case.
         method: Key of `METHODS`.
         factor: Step, as a multiple of the longest one that `check` does not warn of; nothing to
             a method that chooses its steps.
-        tier: Solver type.
         dt: Step instead of the factor [s], if > 0.
         **others: As those of `motion`.
     """
@@ -238,7 +236,6 @@ class Case:
     """A scene with its true motion.
 
     Args:
-        loaded: The scene.
         grid: Times of the comparison.
         known: Gives the motion by other equations than those of the scene.
 

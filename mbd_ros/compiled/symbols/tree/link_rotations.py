@@ -23,7 +23,6 @@ class PlaneTurn(NamedTuple):
     Attributes:
         axis: 0, 1 or 2.
         c: Cosine of the angle.
-        s: Its sine.
     """
 
     axis: int
@@ -77,11 +76,7 @@ class PlaneTurn(NamedTuple):
 
 
 class MatrixTurn(NamedTuple):
-    """Any rotation, by its matrix.
-
-    Attributes:
-        R: The matrix.
-    """
+    """Any rotation, by its matrix."""
 
     R: Matrix
 

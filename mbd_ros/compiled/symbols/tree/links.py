@@ -30,7 +30,6 @@ class Tree(NamedTuple):
     """All links, parents before children.
 
     Attributes:
-        links: The links.
         ground: What the joints cannot move, in the axes of the world.
         gravity: Acceleration of free fall [m/s^2], shape (3,).
         nq: Size of a configuration.

@@ -40,7 +40,6 @@ class Placed(NamedTuple):
     """A link at a configuration, in the axes that its tree was asked for.
 
     Attributes:
-        link: The link.
         turn: From its axes to those of its parent; none where all are those of the world.
         offset: Its origin from that of its parent, in axes of the parent [m].
         axis: Of its joint, in its axes.

@@ -77,7 +77,6 @@ class Pull(NamedTuple):
     """What a tension of 1 N exerts on a body.
 
     Attributes:
-        frame: The link.
         point: Where it acts, in the world less `Robot.origin` [m], shape (3,).
         force: In world axes [N per N], shape (3,).
     """
@@ -178,7 +177,6 @@ class PathBatch:
     """All paths of a scene, evaluated for all samples at once.
 
     Args:
-        paths: By name.
         search: As for `SampledKinematics`; numpy's own by default.
 
     Attributes:

@@ -134,7 +134,6 @@ class _End(NamedTuple):
     """A point of a path, and the line to it.
 
     Attributes:
-        point: The point.
         length: Length of the line where no joint changes it [m], else None.
         asks: Whether its velocity changes the length of the path.
     """

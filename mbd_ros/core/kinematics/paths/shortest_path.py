@@ -241,7 +241,6 @@ class Chain(NamedTuple):
     Attributes:
         length: Whole length [m], shape (n,).
         lines: Straight lines, one more than arcs.
-        arcs: Geodesics.
         ends: Both ends of every geodesic.
         slopes: Change of the conditions with the unknowns, shape (n, 4 m, 4 m).
     """

@@ -18,14 +18,17 @@ from mbd_ros.core.model.points import Point
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 
-# ---- wrap surface -----------------------------------------------------------------------------
-# The contract of surfaces that paths wrap over, where they stand, and geodesics on them.
-
-
 Mask = NDArray[np.bool_]
 Numbers = NDArray[np.intp]
 Side = Literal["all", "x", "-x", "y", "-y", "z", "-z"]
 NO_WRAP, MAY_WRAP, MUST_WRAP = 0, 1, 2
+Curving = Callable[[Array, Array], tuple[Array, Array]]
+_NODES = ((8, 0.4), (12, 1.2), (16, 2.0), (24, 4.0), (32, 6.0), (64, 12.0), (128, np.inf))
+_MOST = 80  # iterations
+_TOLERANCE = 1.0e-15  # of a step, in the farthest coordinate
+_NEAR, _STALL = 1.0e-13, 0.3  # steps that rounding keeps from getting smaller
+_FIELDS = 1.0e-13  # of a step of Jacobi fields, which steer Newton's method
+_TAIL = 1.0e-11  # largest end of the series of slopes; the curve has its second integral
 
 
 class Surface:
@@ -123,7 +126,6 @@ class Placed(NamedTuple):
     """A surface among others.
 
     Attributes:
-        surface: The surface.
         rotation: From its axes to common ones, shape (n, 3, 3).
         origin: Its origin in common axes [m], shape (n, 3).
     """
@@ -211,7 +213,6 @@ class Reach(NamedTuple):
     """A surface, and the points between which it acts.
 
     Attributes:
-        surface: The surface.
         first: Index of the first point.
         last: Index of the last one.
     """
@@ -221,32 +222,17 @@ class Reach(NamedTuple):
     last: int
 
 
-# ---- geodesics --------------------------------------------------------------------------------
-# Geodesics of smooth surfaces by Picard's iteration on Chebyshev nodes.
-#
-# x'' = -(t . S t) n with the unit tangent t, and Jacobi's equation y'' = -K y beside it.
-# Iterations
-# converge as l^2k / (2k)!, for all samples in the same calls: arrays are (3, nodes, n), so that
-# integrals are products of matrices.
-#
-# Source: C. W. Clenshaw, H. J. Norton, The solution of nonlinear ordinary differential equations
-# in
-# Chebyshev series, Comput. J. 6, 1963, 88; M. P. do Carmo, Riemannian Geometry, 1992, ch. 5.
-
-
-Curving = Callable[[Array, Array], tuple[Array, Array]]
-_NODES = ((8, 0.4), (12, 1.2), (16, 2.0), (24, 4.0), (32, 6.0), (64, 12.0), (128, np.inf))
-_MOST = 80  # iterations
-_TOLERANCE = 1.0e-15  # of a step, in the farthest coordinate
-_NEAR, _STALL = 1.0e-13, 0.3  # steps that rounding keeps from getting smaller
-_FIELDS = 1.0e-13  # of a step of Jacobi fields, which steer Newton's method
-_TAIL = 1.0e-11  # largest end of the series of slopes; the curve has its second integral
-
-
 def geodesics(
     curving: Curving, start: Array, direction: Array, arc: Array, sharpest: float
 ) -> Flow:
-    """Follow geodesics.
+    """Follow geodesics of a smooth surface, by Picard's iteration on Chebyshev nodes.
+
+        x'' = -(t . S t) n,   y'' = -K y
+
+    with the unit tangent t, and Jacobi's equation for the distance y of neighbours. Iterations
+    converge as l^2k / (2k)!, for all samples in the same calls: arrays are (3, nodes, n), so that
+    integrals are products of matrices. Sources: C. W. Clenshaw, H. J. Norton, Comput. J. 6 (1963)
+    88; M. P. do Carmo, Riemannian Geometry, 1992, ch. 5.
 
     Args:
         curving: (points, unit tangents), both (3, ..) -> curvature vectors x'' and K.

@@ -34,26 +34,206 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 
-# ---- wrap routes ------------------------------------------------------------------------------
-# Which surfaces a path wraps over, and where: a function of the points and poses of now.
-#
-# Every wrap is taken off the path and tried again on each straight line of its range, until
-# nothing
-# changes: a line that meets the surface must wrap, the first one; else the line that gets longer
-# by
-# the least may. Samples that go different ways are parted. Nothing is remembered from state to
-# state, so that a path has one length in a configuration.
-#
-# Source: the order of trials is that of OpenSim (A. Seth et al., PLoS Comput. Biol. 14, 2018,
-# e1006223); lengths are those of shortest paths.
-
-
 Held = tuple[tuple[int, ...], ...]  # the wraps on every line between points
 _ROUNDS = 8
+_POINT = 1.0e-200  # m, a line that has no direction
+_DRAWN = 9  # points of a geodesic in a picture
+
+
+class WrappedPath(Path):
+    """Straight lines through points, and shortest paths over surfaces between them.
+
+    Which surfaces a path wraps over depends on the configuration alone, so that no mode keeps it.
+
+    Args:
+        points: Two or more, whatever their `within` says.
+        wraps: In the order in which they are tried.
+        reaches: First and last point of every wrap, as indices of `points`.
+
+    Raises:
+        SolveError: From every method, where a geodesic is not found; names the wraps.
+    """
+
+    reads = Reads.JACOBIAN
+
+    def __init__(
+        self,
+        robot: Robot,
+        points: Sequence[ViaPoint],
+        wraps: Sequence[Wrap],
+        reaches: Sequence[tuple[int, int]],
+    ) -> None:
+        self.points = tuple(points)
+        self.wraps = tuple(wraps)
+        self.reaches = [
+            Reach(wrap.surface, *reach) for wrap, reach in zip(wraps, reaches, strict=True)
+        ]
+        over = ", ".join(f"{wrap.name} ({type(wrap.surface).__name__.lower()})" for wrap in wraps)
+        self.over = " - ".join(point.frame for point in points) + f", around {over}"
+        self._nv = int(robot.model.nv)
+        self._last: tuple[bytes, Any] = (b"", None)
+
+    def length(self, k: Kinematics, x: State) -> float:
+        """The l [m]."""
+        return k.searched(self, x).length
+
+    def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
+        """The l [m] and J, shape (nv,)."""
+        length, by_points, by_wraps = k.searched(self, x)
+        slope = k.zeros(self._nv)
+        for point, change in zip(self.points, by_points, strict=True):
+            if point.moves:
+                slope = slope + k.dot(change, point.jacobian(k, x))
+        for wrap, change in zip(self.wraps, by_wraps, strict=True):
+            if wrap.point.moves and k.any(change):
+                slope = slope + k.dot(change, k.spatial_jacobian(wrap.point))
+        return length, slope
+
+    def search(self, k: Kinematics, x: State) -> Taut:
+        """The taut path at a state: its length, shapes (m, 3) and (wraps, 6) of its slopes.
+
+        Parts ask for lengths, then for slopes: the last answer is kept for the same places.
+
+        Raises:
+            SolveError: A geodesic is not found.
+        """
+        places, points = self._where(k, x)
+        key = b"".join([points.tobytes(), *(x.tobytes() for place in places for x in place[1:])])
+        last, found = self._last
+        if key != last:
+            whole = self._taut(points, places)
+            found = Taut(float(whole.length[0]), whole.by_points[0], whole.by_wraps[0])
+            self._last = key, found
+        return found
+
+    def drift(self, k: Kinematics, x: State) -> float:
+        """J' v: lines turn and contacts slide as their conditions stay met."""
+        places, points = self._where(k, x)
+        speeds = [point.velocity(k, x) for point in self.points]
+        pushes = [point.acceleration(k, x) for point in self.points]
+        motions = [surface_motion(k, wrap.point, wrap.axes) for wrap in self.wraps]
+        bent = 0.0
+        for line, (wraps, chain) in enumerate(self._chains(points, places)):
+            nodes = [(speeds[line], pushes[line], np.zeros(3))]
+            at, moved = [places[w] for w in wraps], [motions[w] for w in wraps]
+            nodes += contact_rates(chain, at, moved, (speeds[line], speeds[line + 1]))
+            nodes += [(speeds[line + 1], pushes[line + 1], np.zeros(3))]
+            for straight, a, b in zip(chain.lines, nodes[::2], nodes[1::2], strict=True):
+                e, past = straight.direction[0], b[0] - a[0]
+                swept = past + b[2] - a[2]
+                if straight.length[0] > _POINT:
+                    bent += (swept @ past - (e @ swept) * (e @ past)) / straight.length[0]
+                    bent += e @ (b[1] - a[1])
+        return float(bent)
+
+    def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
+        """At every point and at both ends of every contact, along the lines."""
+        places, points = self._where(k, x)
+        chains = self._chains(points, places)
+        forces = np.zeros((len(self.points), 3))
+        pulls = []
+        for line, (wraps, chain) in enumerate(chains):
+            ways = [straight.direction[0] for straight in chain.lines]
+            forces[line] += ways[0]
+            forces[line + 1] -= ways[-1]
+            for i, w in enumerate(wraps):
+                first, last = chain.ends[i]
+                frame = self.wraps[w].frame
+                pulls.append(Pull(frame, first.point[0], -ways[i]))
+                pulls.append(Pull(frame, last.point[0], ways[i + 1]))
+        at = zip(self.points, points[0], forces, strict=True)
+        return (*(Pull(point.frame, place, force) for point, place, force in at), *pulls)
+
+    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
+        """All points, and points along the geodesics between."""
+        places, points = self._where(k, x)
+        corners = [points[0, 0]]
+        for line, (wraps, chain) in enumerate(self._chains(points, places)):
+            for w, arc in zip(wraps, chain.arcs, strict=True):
+                corners += list(_along(places[w], arc))
+            corners.append(points[0, line + 1])
+        return (np.array(corners),)
+
+    def corners(self) -> Sequence[ViaPoint]:
+        """All points."""
+        return self.points
+
+    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
+        """The l [m] and J of n samples."""
+        points = np.stack([point.sampled(k) for point in self.points], axis=1)
+        places = [
+            Placed(wrap.surface, k.rotation(wrap.point), k.position(wrap.point))
+            for wrap in self.wraps
+        ]
+        length, by_points, by_wraps = self._taut(points, places, k.search)
+        slopes = slopes_of(k, self.points, points, by_points)
+        wrenches: dict[int, Array] = {}
+        for i, wrap in enumerate(self.wraps):
+            joint, change = k.carrier(wrap.point), by_wraps[:, i]
+            if joint and change.any():
+                change[:, 3:] += cross(places[i].origin, change[:, :3])
+                wrenches[joint] = wrenches[joint] + change if joint in wrenches else change
+        return length, slopes + k.slope(wrenches)
+
+    def _where(self, k: Kinematics, x: State) -> tuple[list[Placed], Array]:
+        points = np.array([[point.position(k, x) for point in self.points]])
+        return [wrap.placed(k) for wrap in self.wraps], points
+
+    def _taut(self, points: Array, places: list[Placed], search: Any = None) -> Taut:
+        try:
+            if search is not None:
+                found: Taut = search(self, points, places)
+                return found
+            return taut(points, self.reaches, places)
+        except SolveError as error:
+            raise self._named(error) from error
+
+    def _chains(self, points: Array, places: list[Placed]) -> list[tuple[tuple[int, ...], Chain]]:
+        """Wraps and path of every line between points."""
+        router = Router(points, self.reaches, places)
+        try:
+            (route,) = router.routes()
+        except SolveError as error:
+            raise self._named(error) from error
+        chains = []
+        for line, wraps in enumerate(route.held):
+            arcs, _ = router.corners(route, line)
+            over = [places[w] for w in wraps]
+            chains.append((wraps, link(points[:, line], points[:, line + 1], over, arcs)[0]))
+        return chains
+
+    def _named(self, error: SolveError) -> SolveError:
+        names = ", ".join(wrap.name for wrap in self.wraps)
+        return SolveError(f"path around {names}: {error}")
+
+
+def _along(place: Placed, arc: Arc) -> Array:
+    """Points along a geodesic, both ends included, shape (_DRAWN, 3)."""
+    starts, ways = np.repeat(arc.start, _DRAWN, axis=0), np.repeat(arc.direction, _DRAWN, axis=0)
+    flow = place.surface.flow(starts, ways, np.linspace(0.0, 1.0, _DRAWN) * arc.length)
+    return flow.end @ place.rotation[0].T + place.origin[0]
+
+
+class Route(NamedTuple):
+    """Samples whose path goes over the same surfaces.
+
+    Attributes:
+        held: Wraps in order, for every line between points.
+    """
+
+    samples: Numbers
+    held: Held
 
 
 class Router:
-    """Finds the routes of a path in n samples.
+    """Which surfaces a path wraps over, and where, in n samples.
+
+    Every wrap is taken off the path and tried again on each straight line of its range, until
+    nothing changes: a line that meets the surface must wrap, the first one; else the line that
+    gets longer by the least may. Samples that go different ways are parted. Nothing is remembered
+    from state to state, so that a path has one length in a configuration. Source: the order of
+    trials is that of OpenSim (A. Seth et al., PLoS Comput. Biol. 14 (2018) e1006223); lengths are
+    those of shortest paths.
 
     Args:
         points: Points of the path in common axes [m], shape (n, m, 3).
@@ -256,198 +436,19 @@ def _spread(values: Array, here: Numbers, n: int) -> Array:
     return whole
 
 
-class Route(NamedTuple):
-    """Samples whose path goes over the same surfaces.
+class Taut(NamedTuple):
+    """A path of n samples, or of one without their axis.
 
     Attributes:
-        samples: Their indices.
-        held: Wraps in order, for every line between points.
+        length: [m], shape (n,).
+        by_points: Change of the length with every point [-], shape (n, m, 3).
+        by_wraps: With the place of every surface: with its origin [-] and with a turn about its
+            origin [m], shape (n, wraps, 6).
     """
 
-    samples: Numbers
-    held: Held
-
-
-# ---- wrapped path -----------------------------------------------------------------------------
-# A path through points and over surfaces: its length, what it pulls at, and how that changes.
-
-
-_POINT = 1.0e-200  # m, a line that has no direction
-_DRAWN = 9  # points of a geodesic in a picture
-
-
-class WrappedPath(Path):
-    """Straight lines through points, and shortest paths over surfaces between them.
-
-    Which surfaces a path wraps over depends on the configuration alone, so that no mode keeps it.
-
-    Args:
-        points: Two or more, whatever their `within` says.
-        wraps: In the order in which they are tried.
-        reaches: First and last point of every wrap, as indices of `points`.
-
-    Raises:
-        SolveError: From every method, where a geodesic is not found; names the wraps.
-    """
-
-    reads = Reads.JACOBIAN
-
-    def __init__(
-        self,
-        robot: Robot,
-        points: Sequence[ViaPoint],
-        wraps: Sequence[Wrap],
-        reaches: Sequence[tuple[int, int]],
-    ) -> None:
-        self.points = tuple(points)
-        self.wraps = tuple(wraps)
-        self.reaches = [
-            Reach(wrap.surface, *reach) for wrap, reach in zip(wraps, reaches, strict=True)
-        ]
-        over = ", ".join(f"{wrap.name} ({type(wrap.surface).__name__.lower()})" for wrap in wraps)
-        self.over = " - ".join(point.frame for point in points) + f", around {over}"
-        self._nv = int(robot.model.nv)
-        self._last: tuple[bytes, Any] = (b"", None)
-
-    def length(self, k: Kinematics, x: State) -> float:
-        """The l [m]."""
-        return k.searched(self, x).length
-
-    def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
-        """The l [m] and J, shape (nv,)."""
-        length, by_points, by_wraps = k.searched(self, x)
-        slope = k.zeros(self._nv)
-        for point, change in zip(self.points, by_points, strict=True):
-            if point.moves:
-                slope = slope + k.dot(change, point.jacobian(k, x))
-        for wrap, change in zip(self.wraps, by_wraps, strict=True):
-            if wrap.point.moves and k.any(change):
-                slope = slope + k.dot(change, k.spatial_jacobian(wrap.point))
-        return length, slope
-
-    def search(self, k: Kinematics, x: State) -> Taut:
-        """The taut path at a state: its length, shapes (m, 3) and (wraps, 6) of its slopes.
-
-        Parts ask for lengths, then for slopes: the last answer is kept for the same places.
-
-        Raises:
-            SolveError: A geodesic is not found.
-        """
-        places, points = self._where(k, x)
-        key = b"".join([points.tobytes(), *(x.tobytes() for place in places for x in place[1:])])
-        last, found = self._last
-        if key != last:
-            whole = self._taut(points, places)
-            found = Taut(float(whole.length[0]), whole.by_points[0], whole.by_wraps[0])
-            self._last = key, found
-        return found
-
-    def drift(self, k: Kinematics, x: State) -> float:
-        """J' v: lines turn and contacts slide as their conditions stay met."""
-        places, points = self._where(k, x)
-        speeds = [point.velocity(k, x) for point in self.points]
-        pushes = [point.acceleration(k, x) for point in self.points]
-        motions = [surface_motion(k, wrap.point, wrap.axes) for wrap in self.wraps]
-        bent = 0.0
-        for line, (wraps, chain) in enumerate(self._chains(points, places)):
-            nodes = [(speeds[line], pushes[line], np.zeros(3))]
-            at, moved = [places[w] for w in wraps], [motions[w] for w in wraps]
-            nodes += contact_rates(chain, at, moved, (speeds[line], speeds[line + 1]))
-            nodes += [(speeds[line + 1], pushes[line + 1], np.zeros(3))]
-            for straight, a, b in zip(chain.lines, nodes[::2], nodes[1::2], strict=True):
-                e, past = straight.direction[0], b[0] - a[0]
-                swept = past + b[2] - a[2]
-                if straight.length[0] > _POINT:
-                    bent += (swept @ past - (e @ swept) * (e @ past)) / straight.length[0]
-                    bent += e @ (b[1] - a[1])
-        return float(bent)
-
-    def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
-        """At every point and at both ends of every contact, along the lines."""
-        places, points = self._where(k, x)
-        chains = self._chains(points, places)
-        forces = np.zeros((len(self.points), 3))
-        pulls = []
-        for line, (wraps, chain) in enumerate(chains):
-            ways = [straight.direction[0] for straight in chain.lines]
-            forces[line] += ways[0]
-            forces[line + 1] -= ways[-1]
-            for i, w in enumerate(wraps):
-                first, last = chain.ends[i]
-                frame = self.wraps[w].frame
-                pulls.append(Pull(frame, first.point[0], -ways[i]))
-                pulls.append(Pull(frame, last.point[0], ways[i + 1]))
-        at = zip(self.points, points[0], forces, strict=True)
-        return (*(Pull(point.frame, place, force) for point, place, force in at), *pulls)
-
-    def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
-        """All points, and points along the geodesics between."""
-        places, points = self._where(k, x)
-        corners = [points[0, 0]]
-        for line, (wraps, chain) in enumerate(self._chains(points, places)):
-            for w, arc in zip(wraps, chain.arcs, strict=True):
-                corners += list(_along(places[w], arc))
-            corners.append(points[0, line + 1])
-        return (np.array(corners),)
-
-    def corners(self) -> Sequence[ViaPoint]:
-        """All points."""
-        return self.points
-
-    def sampled(self, k: SampledKinematics) -> tuple[Array, Array]:
-        """The l [m] and J of n samples."""
-        points = np.stack([point.sampled(k) for point in self.points], axis=1)
-        places = [
-            Placed(wrap.surface, k.rotation(wrap.point), k.position(wrap.point))
-            for wrap in self.wraps
-        ]
-        length, by_points, by_wraps = self._taut(points, places, k.search)
-        slopes = slopes_of(k, self.points, points, by_points)
-        wrenches: dict[int, Array] = {}
-        for i, wrap in enumerate(self.wraps):
-            joint, change = k.carrier(wrap.point), by_wraps[:, i]
-            if joint and change.any():
-                change[:, 3:] += cross(places[i].origin, change[:, :3])
-                wrenches[joint] = wrenches[joint] + change if joint in wrenches else change
-        return length, slopes + k.slope(wrenches)
-
-    def _where(self, k: Kinematics, x: State) -> tuple[list[Placed], Array]:
-        points = np.array([[point.position(k, x) for point in self.points]])
-        return [wrap.placed(k) for wrap in self.wraps], points
-
-    def _taut(self, points: Array, places: list[Placed], search: Any = None) -> Taut:
-        try:
-            if search is not None:
-                found: Taut = search(self, points, places)
-                return found
-            return taut(points, self.reaches, places)
-        except SolveError as error:
-            raise self._named(error) from error
-
-    def _chains(self, points: Array, places: list[Placed]) -> list[tuple[tuple[int, ...], Chain]]:
-        """Wraps and path of every line between points."""
-        router = Router(points, self.reaches, places)
-        try:
-            (route,) = router.routes()
-        except SolveError as error:
-            raise self._named(error) from error
-        chains = []
-        for line, wraps in enumerate(route.held):
-            arcs, _ = router.corners(route, line)
-            over = [places[w] for w in wraps]
-            chains.append((wraps, link(points[:, line], points[:, line + 1], over, arcs)[0]))
-        return chains
-
-    def _named(self, error: SolveError) -> SolveError:
-        names = ", ".join(wrap.name for wrap in self.wraps)
-        return SolveError(f"path around {names}: {error}")
-
-
-def _along(place: Placed, arc: Arc) -> Array:
-    """Points along a geodesic, both ends included, shape (_DRAWN, 3)."""
-    starts, ways = np.repeat(arc.start, _DRAWN, axis=0), np.repeat(arc.direction, _DRAWN, axis=0)
-    flow = place.surface.flow(starts, ways, np.linspace(0.0, 1.0, _DRAWN) * arc.length)
-    return flow.end @ place.rotation[0].T + place.origin[0]
+    length: Any
+    by_points: Array
+    by_wraps: Array
 
 
 def taut(points: Array, reaches: Sequence[Reach], places: Sequence[Placed]) -> Taut:
@@ -498,21 +499,6 @@ def _bent(
                 arm = corner - places[w].origin[samples]
                 by_wraps[samples, w] += sign * np.concatenate((e, cross(arm, e)), axis=-1)
     return np.asarray(length), -ends[0], ends[-1]
-
-
-class Taut(NamedTuple):
-    """A path of n samples, or of one without their axis.
-
-    Attributes:
-        length: [m], shape (n,).
-        by_points: Change of the length with every point [-], shape (n, m, 3).
-        by_wraps: With the place of every surface: with its origin [-] and with a turn about its
-            origin [m], shape (n, wraps, 6).
-    """
-
-    length: Any
-    by_points: Array
-    by_wraps: Array
 
 
 def contact_rates(

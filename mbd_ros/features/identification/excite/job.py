@@ -183,7 +183,6 @@ class Excitation(NamedTuple):
     """A motion that shows masses.
 
     Attributes:
-        motion: It.
         joints: Names, in its order.
         condition: Condition number of the regressor of its base parameters, columns scaled.
         random: That of the best of 200 random motions within the same limits.
@@ -201,7 +200,6 @@ class Excitation(NamedTuple):
 
         Args:
             rate: Samples a second [Hz].
-            periods: How often.
         """
         t = np.arange(round(periods * self.motion.period * rate) + 1) / rate
         columns = [Column("time", t, "s")]

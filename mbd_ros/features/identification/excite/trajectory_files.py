@@ -11,7 +11,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.features.identification.excite.job import Excitation, excite, points_of
 from mbd_ros.files.bags.bag_types import new_message
 from mbd_ros.files.bags.bag_writer import BagWriter
-from mbd_ros.files.output_file import replacing
+from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
 
@@ -25,8 +25,6 @@ def excite_to(scene: Scene, out: Path, rate: float, options: dict[str, Any], say
     """Write `trajectory.yaml`, `trajectory.mcap` and `trajectory.csv` into a folder.
 
     Args:
-        scene: The scene.
-        out: The folder.
         rate: Points a second [Hz].
         options: Of `excite`.
         say: Is told what was done.

@@ -98,7 +98,6 @@ def compare(scene: Scene, task: Task, seeds: Sequence[int], say: Say) -> tuple[T
     """Ask all ways for torques of what comes last.
 
     Args:
-        scene: The scene.
         task: What is asked for; of one recording.
         seeds: Of the networks.
         say: Is told each amount of data.

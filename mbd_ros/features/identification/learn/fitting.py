@@ -57,7 +57,6 @@ def fit(
     """Learn what the torques of a scene leave of the efforts.
 
     Args:
-        scene: The scene.
         task: What is asked for.
         joints: Names of the columns.
         samples: What is learned from.
@@ -136,7 +135,6 @@ def collocation(samples: Samples, wanted: Array, random: np.random.Generator) ->
     """States around the measured ones, with what the equations of motion ask of them.
 
     Args:
-        samples: Measured ones.
         wanted: Over the scale, shape (n, m), where it does not depend on the state.
         random: For the states.
     """
@@ -297,7 +295,6 @@ class Recordings:
         say: Is told what is left out.
 
     Attributes:
-        every: The recordings.
         joints: Joints with efforts.
         band: End of the band [Hz]; None where motions have accelerations.
     """

@@ -32,8 +32,8 @@ from mbd_ros.features.identification.outcome import csv, description_of, scene_t
 from mbd_ros.features.identification.samples import split
 from mbd_ros.features.identification.task import Task as IdentifyTask
 from mbd_ros.features.identification.task import keep_remarks
-from mbd_ros.files.output_file import refuse_overwriting
 from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.files.text_file import refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, share_watch, watching
 from mbd_ros.methods.learned import TrainingRange, about_of, check_robot, numbers_of
 from mbd_ros.motion.recordings import Source
@@ -56,7 +56,6 @@ def learn(
     """What the equations of motion leave of measured torques, as a network beside them.
 
     Args:
-        scene: The scene.
         *motions: Results, files or bags with positions and efforts.
         wrenches: Of tables with external loads, one a motion.
         say: Is called with each line for people.
@@ -212,7 +211,6 @@ def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: S
     """Write `model.onnx`, `weights.npz`, `scene.yaml` and tables; all, or none.
 
     Args:
-        folder: Is made.
         found: What was learned.
         more: Other files by name.
         say: Is told the names.

@@ -79,7 +79,6 @@ class Columns:
         """What samples say, with efforts as measured: a low-pass would round dry friction.
 
         Args:
-            samples: The samples.
             said: Torque of the network, shape (n, m).
         """
         left = samples.measured - samples.physics

@@ -193,7 +193,6 @@ class Collocation(NamedTuple):
     """States without a measurement, at which the equations of motion hold all the same.
 
     Attributes:
-        samples: The states.
         wanted: What the equations ask of the network there over its scale, shape (n, m).
         weight: Of this loss beside the data.
     """
@@ -216,10 +215,8 @@ def train(
 
     Args:
         network: `Free` or `Structured`.
-        weights: First weights.
         samples: What is learned from.
         wanted: Torque over its scale, shape (n, m).
-        plan: How.
         collocation: States at which the equations of motion are asked besides.
         tell: Is told the share that is done.
 

@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Do what the words say; the exit code."""
     from mbd_ros.features.identification.command import gains_of
     from mbd_ros.features.identification.payload.job import payload
-    from mbd_ros.files.output_file import check_place, refuse_overwriting
+    from mbd_ros.files.text_file import check_place, refuse_overwriting
     from mbd_ros.scene.reader import load_scene
 
     if arguments.out is not None:

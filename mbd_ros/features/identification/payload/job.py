@@ -88,7 +88,6 @@ class Payload(NamedTuple):
     """What is fixed to a link.
 
     Attributes:
-        frame: The link.
         inertia: `pinocchio.Inertia` in the axes of the link; a body of positive density.
         deviation: Standard deviations of mass [kg] and mass centre [m], shape (4,).
         numbers: The ten numbers about the origin of the link by least squares, shape (10,).

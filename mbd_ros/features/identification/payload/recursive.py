@@ -40,7 +40,6 @@ class RecursivePayload:
     Args:
         robot: The robot without it, of joints alone.
         solver: Inverse dynamics of the scene, open chain.
-        frame: The link.
         cutoff: Half-power frequency of the filter [Hz].
         memory: Time after which samples count 1/e [s].
         mass: Mass that may be expected [kg].

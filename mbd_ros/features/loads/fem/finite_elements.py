@@ -18,7 +18,7 @@ from mbd_ros.features.loads.fem.model import (
     step_of,
 )
 from mbd_ros.features.loads.history import History, Instant, Units
-from mbd_ros.files.output_file import replacing
+from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import Say
 
 _NOTHING: Mapping[str, str] = {}

@@ -222,7 +222,6 @@ class Attachment(NamedTuple):
         name: Of the load.
         slot: Its place in the history.
         reference: Where the load is written about [m], shape (3,).
-        nodes: They.
     """
 
     name: str

@@ -7,7 +7,7 @@ import numpy as np
 
 from mbd_ros.errors import DataError, install_hint
 from mbd_ros.features.loads.fem.model import Body, Step
-from mbd_ros.files.output_file import replacing
+from mbd_ros.files.text_file import replacing
 
 
 def write_series(body: Body, steps: Sequence[Step], out: Path) -> int:

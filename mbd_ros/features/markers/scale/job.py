@@ -16,7 +16,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError, SceneError
 from mbd_ros.features.markers.marker_kinematics import markers_of
 from mbd_ros.features.markers.scale.task import ScaleTask
-from mbd_ros.files.output_file import replacing
+from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.recordings import Capture, Source, read_capture
 from mbd_ros.scene.built_scene import Scene
@@ -218,7 +218,6 @@ def scaled_sections(
     """Sections with other places; those of muscles are scaled by the lengths of their paths.
 
     Args:
-        entries: By key.
         factors: Link -> factors along its axes, shape (3,).
         stretch: Sliding joint -> factor of its position.
 
@@ -299,7 +298,6 @@ class ScaledUrdf:
     """A scaled description.
 
     Args:
-        text: URDF.
         factors: Link -> factors along its axes, shape (3,).
         mass: Of all links [kg]; None keeps it.
         by_volume: Whether masses follow volumes; else each keeps its share.

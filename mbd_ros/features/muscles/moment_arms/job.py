@@ -8,8 +8,8 @@ from mbd_ros.core.kinematics.paths.paths import Path, PathBatch, PathSamples
 from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.state import Array, Motion
 from mbd_ros.errors import DataError
-from mbd_ros.files.output_file import check_place, refuse_overwriting
 from mbd_ros.files.table import MAIN, Column, Result, Table, time_columns
+from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.columns import joint_columns
@@ -71,7 +71,6 @@ def moment_arms_to(scene: Scene, motion: File, out: File, topic: str, say: Say) 
     """Read a motion, write what its paths do.
 
     Args:
-        scene: The scene.
         motion: Table or bag.
         out: Its suffix chooses the format.
         topic: JointState topic of a bag.

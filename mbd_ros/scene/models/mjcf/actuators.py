@@ -15,16 +15,14 @@ from mbd_ros.scene.models.mjcf.item import ACTUATORS, Item, unit
 from mbd_ros.scene.models.mjcf.reading import Reading
 from mbd_ros.scene.models.urdf_text import xyz_rpy
 
-# ---- actuators --------------------------------------------------------------------------------
-# Actuators of a model -> actuators and forces with an input.
-
-
 _SERVOS = ("position", "velocity", "intvelocity")
 _DYNAMICS = ("none", "integrator", "filter", "filterexact", "muscle", "user", "dcmotor")
 _GAINS = ("fixed", "affine", "muscle", "user", "dcmotor")
 _BIASES = ("none", "affine", "muscle", "user", "dcmotor")
 _LAW = "its joint, tendon or site has an actuator, its law is left to a controller"
 _ENDS = ("joint", "jointinparent", "tendon", "site", "body", "cranksite")
+_ENDLESS = 1.0e3  # m, of a cylinder whose length MuJoCo does not read when it wraps
+_NOT_SAID = ("damping", "frictionloss", "armature", "range", "actuatorfrcrange")
 
 
 def read_actuators(reading: Reading, sections: dict[str, Any]) -> None:
@@ -161,14 +159,6 @@ def add_rotors(reading: Reading, sections: dict[str, Any]) -> None:
             sections["actuators"].append({"name": title, **motor})
 
 
-# ---- tendons ----------------------------------------------------------------------------------
-# Tendons of a model -> paths, and springs along them.
-
-
-_ENDLESS = 1.0e3  # m, of a cylinder whose length MuJoCo does not read when it wraps
-_NOT_SAID = ("damping", "frictionloss", "armature", "range", "actuatorfrcrange")
-
-
 def read_tendons(reading: Reading) -> list[dict[str, Any]]:
     """Fill the paths of a model; entries of `forces` along them.
 
@@ -236,6 +226,10 @@ def _spatial(reading: Reading, item: Item) -> dict[str, Any]:
     return {"points": points, **({"wraps": wraps} if wraps else {})}
 
 
+def _without_turn(at: Any) -> dict[str, Any]:
+    return {key: value for key, value in xyz_rpy(at).items() if key == "xyz"}
+
+
 def _wrap(reading: Reading, given: Item) -> dict[str, Any]:
     """A sphere, or a cylinder without end, over the side of `sidesite` where it is given."""
     body, (geom, at) = reading.place(given, "geom", "geoms")
@@ -265,10 +259,6 @@ def _towards(given: Item, at: Any, site: Array, radius: float, kind: str) -> Any
         return at
     x, z = unit(given, x, "sidesite"), np.array([0.0, 0.0, 1.0])
     return at * pin.SE3(np.column_stack((x, np.cross(z, x), z)), np.zeros(3))
-
-
-def _without_turn(at: Any) -> dict[str, Any]:
-    return {key: value for key, value in xyz_rpy(at).items() if key == "xyz"}
 
 
 def _spring(reading: Reading, item: Item, title: str) -> list[dict[str, Any]]:

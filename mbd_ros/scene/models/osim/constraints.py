@@ -17,11 +17,91 @@ from mbd_ros.scene.models.osim.mechanism import Follows
 from mbd_ros.scene.models.osim.reading import Reading
 from mbd_ros.scene.models.urdf_text import roll_pitch_yaw
 
-# ---- couplings --------------------------------------------------------------------------------
-# Coordinates that follow others, are locked or prescribed.
-
-
 COUPLER = "CoordinateCouplerConstraint"
+Entry = dict[str, Any]
+_BODIES = (("body_1", "body1"), ("body_2", "body2"))
+
+
+def _point(reading: Reading, item: Item) -> Entry:
+    ends = _ends(reading, item, *_BODIES)
+    return {"type": "loop_closure", "kind": "point", **_points(item, ends)}
+
+
+def _distance(reading: Reading, item: Item) -> Entry:
+    ends = _ends(reading, item, *_BODIES)
+    return {
+        "type": "distance",
+        **_points(item, ends),
+        "distance": item.number("constant_distance"),
+    }
+
+
+def _line(reading: Reading, item: Item) -> Entry:
+    """The follower stays on z of a frame along the line."""
+    line, follower = _ends(reading, item, ("line_body",), ("follower_body",))
+    along = np.array(line.direction(item.vector("line_direction_vec")))
+    if not along.any():
+        raise item.error("<line_direction_vec> is zero")
+    return {
+        "type": "loop_closure",
+        "kind": "point",
+        "directions": "xy",
+        "frame_a": line.body,
+        "point_a": line.point(item.vector("point_on_line")),
+        "rpy_a": roll_pitch_yaw(_axes_along(along)),
+        "frame_b": follower.body,
+        "point_b": follower.point(item.vector("point_on_follower")),
+    }
+
+
+def _weld(reading: Reading, item: Item) -> Entry:
+    entry: Entry = {"type": "loop_closure", "kind": "full"}
+    ends = _ends(reading, item, ("frame1", "body_1", "body1"), ("frame2", "body_2", "body2"))
+    for letter, end, i in zip("ab", ends, "12", strict=True):
+        at = old_placement(item, (f"location_body_{i}",), (f"orientation_body_{i}",))
+        entry |= frame_entries(letter, Attached(end.body, end.at * at))
+    return entry
+
+
+_READERS: Mapping[str, Callable[[Reading, Item], Entry]] = {
+    "PointConstraint": _point,
+    "ConstantDistanceConstraint": _distance,
+    "PointOnLineConstraint": _line,
+    "WeldConstraint": _weld,
+}
+
+
+def read_constraints(reading: Reading) -> list[Entry]:
+    """The constraints of a model besides couplers of coordinates.
+
+    Raises:
+        SceneError: Names element and what is wrong.
+    """
+    found = [
+        {"name": reading.names.part(name, "closure"), **closure}
+        for name, closure in reading.closures.items()
+    ]
+    for item in reading.model.components("ConstraintSet", ending="Constraint"):
+        if item.type == COUPLER or not is_enforced(item):
+            continue
+        try:
+            entry = _entry(reading, item)
+        except Unexpressed as error:
+            reading.leave_out(item, str(error))
+            continue
+        found.append({"name": reading.names.part(item.name, "constraint"), **entry})
+    return found
+
+
+def is_enforced(item: Item) -> bool:
+    """Whether a constraint acts."""
+    return item.flag("isEnforced", default=not item.flag("isDisabled"))
+
+
+def _entry(reading: Reading, item: Item) -> Entry:
+    if item.type not in _READERS:
+        raise Unexpressed("no part of a scene is like it")
+    return _READERS[item.type](reading, item)
 
 
 def read_couplers(
@@ -34,7 +114,6 @@ def read_couplers(
 
     Args:
         model: The `<Model>`.
-        coordinates: By name.
         joints: Joints that follow a coordinate by a function of their joint.
         locked: Coordinate -> position where the scene locks it, None where it frees it.
 
@@ -57,20 +136,6 @@ def read_couplers(
     found.follows.update(joints)
     _settle(found, model.source)
     return found
-
-
-class Coupled(NamedTuple):
-    """What the coordinates of a model do besides moving.
-
-    Attributes:
-        follows: Coordinate -> what it follows.
-        fixed: Coordinate or coupled joint -> position [rad or m] that it never leaves.
-        left_out: Couplers that are not expressed.
-    """
-
-    follows: dict[str, Follows]
-    fixed: dict[str, float]
-    left_out: list[LeftOut]
 
 
 def _prescribed_constant(coordinate: Coordinate) -> float | None:
@@ -124,9 +189,18 @@ def _settle(found: Coupled, source: str) -> None:
                 settled = True
 
 
-def is_enforced(item: Item) -> bool:
-    """Whether a constraint acts."""
-    return item.flag("isEnforced", default=not item.flag("isDisabled"))
+class Coupled(NamedTuple):
+    """What the coordinates of a model do besides moving.
+
+    Attributes:
+        follows: Coordinate -> what it follows.
+        fixed: Coordinate or coupled joint -> position [rad or m] that it never leaves.
+        left_out: Couplers that are not expressed.
+    """
+
+    follows: dict[str, Follows]
+    fixed: dict[str, float]
+    left_out: list[LeftOut]
 
 
 def read_prescribed(
@@ -135,7 +209,6 @@ def read_prescribed(
     """The motions of coordinates that do not stand still.
 
     Args:
-        coordinates: By name.
         coupled: Those that follow others.
 
     Raises:
@@ -169,83 +242,6 @@ def _motion(item: Item) -> dict[str, Any]:
     raise Unexpressed(f"is prescribed by a function {next(iter(function.entry))}")
 
 
-# ---- constraints ------------------------------------------------------------------------------
-# Constraints between bodies -> the section `constraints`.
-
-
-Entry = dict[str, Any]
-_BODIES = (("body_1", "body1"), ("body_2", "body2"))
-
-
-def read_constraints(reading: Reading) -> list[Entry]:
-    """The constraints of a model besides couplers of coordinates.
-
-    Raises:
-        SceneError: Names element and what is wrong.
-    """
-    found = [
-        {"name": reading.names.part(name, "closure"), **closure}
-        for name, closure in reading.closures.items()
-    ]
-    for item in reading.model.components("ConstraintSet", ending="Constraint"):
-        if item.type == COUPLER or not is_enforced(item):
-            continue
-        try:
-            entry = _entry(reading, item)
-        except Unexpressed as error:
-            reading.leave_out(item, str(error))
-            continue
-        found.append({"name": reading.names.part(item.name, "constraint"), **entry})
-    return found
-
-
-def _entry(reading: Reading, item: Item) -> Entry:
-    if item.type not in _READERS:
-        raise Unexpressed("no part of a scene is like it")
-    return _READERS[item.type](reading, item)
-
-
-def _point(reading: Reading, item: Item) -> Entry:
-    ends = _ends(reading, item, *_BODIES)
-    return {"type": "loop_closure", "kind": "point", **_points(item, ends)}
-
-
-def _distance(reading: Reading, item: Item) -> Entry:
-    ends = _ends(reading, item, *_BODIES)
-    return {
-        "type": "distance",
-        **_points(item, ends),
-        "distance": item.number("constant_distance"),
-    }
-
-
-def _line(reading: Reading, item: Item) -> Entry:
-    """The follower stays on z of a frame along the line."""
-    line, follower = _ends(reading, item, ("line_body",), ("follower_body",))
-    along = np.array(line.direction(item.vector("line_direction_vec")))
-    if not along.any():
-        raise item.error("<line_direction_vec> is zero")
-    return {
-        "type": "loop_closure",
-        "kind": "point",
-        "directions": "xy",
-        "frame_a": line.body,
-        "point_a": line.point(item.vector("point_on_line")),
-        "rpy_a": roll_pitch_yaw(_axes_along(along)),
-        "frame_b": follower.body,
-        "point_b": follower.point(item.vector("point_on_follower")),
-    }
-
-
-def _weld(reading: Reading, item: Item) -> Entry:
-    entry: Entry = {"type": "loop_closure", "kind": "full"}
-    ends = _ends(reading, item, ("frame1", "body_1", "body1"), ("frame2", "body_2", "body2"))
-    for letter, end, i in zip("ab", ends, "12", strict=True):
-        at = old_placement(item, (f"location_body_{i}",), (f"orientation_body_{i}",))
-        entry |= frame_entries(letter, Attached(end.body, end.at * at))
-    return entry
-
-
 def _ends(reading: Reading, item: Item, *names: tuple[str, ...]) -> list[Attached]:
     ends = [reading.attached(item, *sockets) for sockets in names]
     reading.refuse_rigid(*ends)
@@ -265,11 +261,3 @@ def _axes_along(direction: Array) -> Array:
     turn = pin.Quaternion.FromTwoVectors(np.array((0.0, 0.0, 1.0)), direction)
     axes: Array = turn.toRotationMatrix()
     return axes
-
-
-_READERS: Mapping[str, Callable[[Reading, Item], Entry]] = {
-    "PointConstraint": _point,
-    "ConstantDistanceConstraint": _distance,
-    "PointOnLineConstraint": _line,
-    "WeldConstraint": _weld,
-}

@@ -19,10 +19,6 @@ from mbd_ros.scene.models.osim.item import (
 from mbd_ros.scene.models.osim.paths import read_path
 from mbd_ros.scene.models.osim.reading import Reading
 
-# ---- forces -----------------------------------------------------------------------------------
-# Springs, limits, bushings and actuators -> the sections `forces` and `actuators`.
-
-
 Entry = dict[str, Any]
 _DEGREE = math.pi / 180.0
 _BUSHING = {  # key of the scene -> element
@@ -31,19 +27,6 @@ _BUSHING = {  # key of the scene -> element
     "angular_stiffness": "rotational_stiffness",
     "angular_damping": "rotational_damping",
 }
-
-
-def force_entry(reading: Reading, item: Item) -> tuple[str, Entry]:
-    """A force of a model: its section and its entry there.
-
-    Raises:
-        SceneError: Names element and what is wrong.
-        Unexpressed: No part of a scene expresses it.
-    """
-    if item.type not in _READERS:
-        raise Unexpressed("no part of a scene is like it")
-    entry = _READERS[item.type](reading, item)
-    return ("actuators" if entry["type"] == "ideal" else "forces"), entry
 
 
 def _coordinate_limit(reading: Reading, item: Item) -> Entry:
@@ -70,13 +53,6 @@ def _bushing(reading: Reading, item: Item) -> Entry:
     for key, tag in _BUSHING.items():
         entry[key] = item.vector(tag)
     return {key: value for key, value in entry.items() if value != [0.0, 0.0, 0.0]}
-
-
-def _bushing_end(reading: Reading, item: Item, i: int) -> Attached:
-    """A frame, or a body and a place on it before 4.0."""
-    frame = reading.attached(item, f"frame{i}", f"frame_{i}", f"body_{i}", f"body{i}")
-    at = old_placement(item, (f"location_body_{i}",), (f"orientation_body_{i}",))
-    return Attached(frame.body, frame.at * at)
 
 
 def _point_spring(reading: Reading, item: Item) -> Entry:
@@ -169,23 +145,6 @@ def _torque_actuator(reading: Reading, item: Item) -> Entry:
     }
 
 
-def _joint(reading: Reading, item: Item) -> str:
-    name = reading.coordinate(item, "coordinate")
-    if name in reading.fixed:
-        raise Unexpressed(f"'{name}' is locked")
-    return name
-
-
-def _limit(item: Item) -> Entry:
-    """Largest force of an actuator; a range that is not even on both sides is not kept."""
-    ends = [item.text(tag).lower() for tag in ("min_control", "max_control")]
-    if any(not end or "inf" in end for end in ends):
-        return {}
-    lower, upper = item.number("min_control"), item.number("max_control")
-    limit = item.number("optimal_force", default=1.0) * max(abs(lower), abs(upper))
-    return {"limit": limit} if limit > 0.0 else {}
-
-
 _READERS: Mapping[str, Callable[[Reading, Item], Entry]] = {
     "CoordinateLimitForce": _coordinate_limit,
     "BushingForce": _bushing,
@@ -198,18 +157,24 @@ _READERS: Mapping[str, Callable[[Reading, Item], Entry]] = {
     "PointActuator": _point_actuator,
     "TorqueActuator": _torque_actuator,
 }
-
-
-# ---- contacts ---------------------------------------------------------------------------------
-# Spheres and half spaces that press on each other -> the section `contacts`.
-
-
-ContactsEntry = dict[str, Any]
 _OUTWARDS = (-1.0, 0.0, 0.0)  # OpenSim's half space is where x > 0
 CONTACTS = ("HuntCrossleyForce", "SmoothSphereHalfSpaceForce")
 
 
-def contact_entries(reading: Reading, item: Item) -> list[ContactsEntry]:
+def force_entry(reading: Reading, item: Item) -> tuple[str, Entry]:
+    """A force of a model: its section and its entry there.
+
+    Raises:
+        SceneError: Names element and what is wrong.
+        Unexpressed: No part of a scene expresses it.
+    """
+    if item.type not in _READERS:
+        raise Unexpressed("no part of a scene is like it")
+    entry = _READERS[item.type](reading, item)
+    return ("actuators" if entry["type"] == "ideal" else "forces"), entry
+
+
+def contact_entries(reading: Reading, item: Item) -> list[Entry]:
     """The contacts of a force: spheres against half spaces, or spheres against one another.
 
     Raises:
@@ -264,7 +229,7 @@ def _shape(reading: Reading, item: Item, path: str) -> Shape:
     frame = reading.attached(given, "frame", "body_name", "body")
     at = placement(given, ("location",), ("orientation",))
     end = Attached(frame.body, frame.at * at)
-    entry: ContactsEntry = {"frame": end.body, "xyz": end.at.translation.tolist()}
+    entry: Entry = {"frame": end.body, "xyz": end.at.translation.tolist()}
     if given.type == "ContactSphere":
         radius = given.number("radius", default=0.0)
         if radius <= 0.0:
@@ -286,36 +251,7 @@ def _material(item: Item) -> Material:
     return Material(stiffness, dissipation, (friction[0], friction[1], friction[2]))
 
 
-class Shape(NamedTuple):
-    """A contact geometry.
-
-    Attributes:
-        body: The body that carries it.
-        entry: As a scene writes it.
-        radius: Of a sphere [m], inf of a half space.
-    """
-
-    name: str
-    body: str
-    entry: ContactsEntry
-    radius: float
-
-
-class Material(NamedTuple):
-    """How a geometry gives way, in the numbers of the file.
-
-    Attributes:
-        stiffness: The K of half a contact [Pa].
-        dissipation: The c [s/m].
-        friction: Static, dynamic [-] and viscous [s/m] coefficients.
-    """
-
-    stiffness: float
-    dissipation: float
-    friction: tuple[float, float, float]
-
-
-def _contact(a: Shape, b: Shape, of_a: Material, of_b: Material, velocity: float) -> ContactsEntry:
+def _contact(a: Shape, b: Shape, of_a: Material, of_b: Material, velocity: float) -> Entry:
     """Hertz: F = 4/3 sqrt(R) k^1.5 d^1.5 (1 + 1.5 c d') with the k and c of both in series.
 
     Source: M. A. Sherman, A. Seth, S. L. Delp, Procedia IUTAM 2 (2011), 241-261.
@@ -325,7 +261,7 @@ def _contact(a: Shape, b: Shape, of_a: Material, of_b: Material, velocity: float
     radius = 1.0 / (1.0 / a.radius + 1.0 / b.radius)
     stiffness = 4.0 / 3.0 * math.sqrt(radius) * (soft[0] * share) ** 1.5
     dissipation = 1.5 * (share * of_a.dissipation + (1.0 - share) * of_b.dissipation)
-    entry: ContactsEntry = {
+    entry: Entry = {
         "type": "compliant",
         "between": [a.entry, b.entry],
         "law": "hunt_crossley",
@@ -348,3 +284,56 @@ def _told(item: Item, materials: list[Material]) -> str:
     if item.type != CONTACTS[0]:
         told.append("its smoothing")
     return f"is there without {', '.join(told)}" if told else ""
+
+
+class Shape(NamedTuple):
+    """A contact geometry.
+
+    Attributes:
+        body: The body that carries it.
+        entry: As a scene writes it.
+        radius: Of a sphere [m], inf of a half space.
+    """
+
+    name: str
+    body: str
+    entry: Entry
+    radius: float
+
+
+class Material(NamedTuple):
+    """How a geometry gives way, in the numbers of the file.
+
+    Attributes:
+        stiffness: The K of half a contact [Pa].
+        dissipation: The c [s/m].
+        friction: Static, dynamic [-] and viscous [s/m] coefficients.
+    """
+
+    stiffness: float
+    dissipation: float
+    friction: tuple[float, float, float]
+
+
+def _bushing_end(reading: Reading, item: Item, i: int) -> Attached:
+    """A frame, or a body and a place on it before 4.0."""
+    frame = reading.attached(item, f"frame{i}", f"frame_{i}", f"body_{i}", f"body{i}")
+    at = old_placement(item, (f"location_body_{i}",), (f"orientation_body_{i}",))
+    return Attached(frame.body, frame.at * at)
+
+
+def _joint(reading: Reading, item: Item) -> str:
+    name = reading.coordinate(item, "coordinate")
+    if name in reading.fixed:
+        raise Unexpressed(f"'{name}' is locked")
+    return name
+
+
+def _limit(item: Item) -> Entry:
+    """Largest force of an actuator; a range that is not even on both sides is not kept."""
+    ends = [item.text(tag).lower() for tag in ("min_control", "max_control")]
+    if any(not end or "inf" in end for end in ends):
+        return {}
+    lower, upper = item.number("min_control"), item.number("max_control")
+    limit = item.number("optimal_force", default=1.0) * max(abs(lower), abs(upper))
+    return {"limit": limit} if limit > 0.0 else {}

@@ -37,7 +37,6 @@ class Mechanism:
         joints: Of the description.
         links: Names of its links, ground first.
         follows: Joint -> what it follows, of those that are no coordinates.
-        coordinates: By name.
         unused: Coordinates that move nothing.
     """
 
