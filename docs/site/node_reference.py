@@ -70,7 +70,7 @@ def entities(name: str, domain: int, scene: str = "") -> list[Entity]:
     node = _node_class(name)([])
     try:
         node.get_logger().set_level(50)  # other scenes may not fit: no news
-        node.start()
+        node.try_start()
         if not node.active and not scene:
             raise RuntimeError(f"node {name} does not start: {node.fault}")
         return list(_entities(node)) if node.active else []
