@@ -1,5 +1,7 @@
 """Names of parts: unique in a scene, without dots, shown by check."""
 
+import importlib
+
 import pytest
 
 from mbd_ros.api import scene_from
@@ -96,3 +98,20 @@ def test_a_part_that_no_scene_has_built_goes_by_its_type():
         pass
 
     assert HardSpring().name == "hard_spring"
+
+
+class Loose:
+    """Offers the method of a force, and derives from no contract."""
+
+    def __init__(self, robot):
+        pass
+
+    def force(self, k, x, u):
+        return 0.0
+
+
+def test_a_part_without_its_contract_is_told_a_class_that_exists():
+    with pytest.raises(SceneError, match="must derive from") as caught:
+        scene_from({"forces": [{"type": Loose}]}, urdf="arm7")
+    module, _, name = str(caught.value).rpartition("must derive from ")[2].rpartition(".")
+    assert hasattr(importlib.import_module(module), name)

@@ -108,9 +108,9 @@ METHODS: Mapping[str, Sequence[str]] = {  # what the parts of a kind must have
     "estimators": ("predict", "correct"),  # of nodes and task files
 }
 _CONTRACTS = {
-    "command": "parts.Actuator",
-    "force": "parts.Load",
-    "measure": "sensor.Sensor",
+    "command": "contracts.Actuator",
+    "force": "contracts.Load",
+    "measure": "contracts.Sensor",
     "residual": "rows.constraint.Constraint",
 }
 
