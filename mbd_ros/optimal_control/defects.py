@@ -7,7 +7,10 @@ interval of width h, with points k and neighbours 0 and 1:
 
 Rows of positions and velocities are closed again at every end: the shifts are J' times multipliers
 that vanish with the error of the method. Configurations of free bodies are x_0 (+) d with a step d
-in the tangent, whose rate is that of `core.dynamics.chart`.
+in the tangent, whose rate is that of `core.dynamics.chart`. A and b integrate the polynomial
+through the rates at the points, x(s) = x_0 + h sum_k x'_k int l_k; `mesh.Collocation` has them.
+Sources: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II, 1996, sec. IV.5 and
+VII.4 (projection at ends); J. T. Betts, Practical Methods for Optimal Control, 2010, ch. 4.
 """
 
 from functools import cache, cached_property

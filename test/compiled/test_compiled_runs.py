@@ -161,8 +161,9 @@ def test_inputs_jump_where_they_do_in_the_plain_tier(kind):
         Simulation(scene.system(sources=torques()), each, Projection(), 1e-3) for each in both
     )
     states, others = (list(each.run(scene.initial, 0.06)) for each in (compiled, plain))
-    # A kink inside a step leaves an error that hangs on its length, and that on rounding.
-    assert off(states, others) < 1e-10
+    # A kink inside a step leaves an error that depends on the length of the step. Adapted lengths
+    # depend on rounding, so that two such runs agree to the tolerance of the method.
+    assert off(states, others) < (getattr(method, "tolerance", None) or 1e-10)
     assert compiled.steps == plain.steps
     states = compiled.run(scene.initial, 0.06)
     for _ in range(34):

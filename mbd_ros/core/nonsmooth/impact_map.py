@@ -14,7 +14,9 @@ So the expansion leaves the least kinetic energy that impulses p_e >= e p_c can.
 of them and gives back what v- had: no impact gains energy, whatever the e of its rows. Friction
 of contacts keeps Coulomb's law in both, with v_c and then with v+, without restitution. Beside it
 an expansion may gain energy; then only the largest share of e p_c is given back that gains none,
-and the impact says so. Bilateral rows and couplings hold in both. Source: F. Pfeiffer, C. Glocker,
+and the impact says so. Bilateral rows and couplings hold in both: J v+ = 0, with impulses of any
+sign. So a foot that stays on the ground strikes plastically, M (v+ - v-) = J' p with J v+ = 0.
+Source: F. Pfeiffer, C. Glocker,
 Multibody Dynamics with Unilateral Contacts, 1996, ch. 8.
 """
 

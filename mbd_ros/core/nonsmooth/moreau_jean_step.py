@@ -2,11 +2,14 @@
 
     M (v+ - v) = h f + J' p,   q+ = q (+) h ((1 - theta) v + theta v+)
 
-All rows are in one complementarity problem, with their rates at the end of the step: bilateral
-rows hold, one-sided rows that would close push, and bounded forces act with h times their bounds
-at most. M and f are those of an intermediate state, at the time theta h with the velocity
-(1 - theta) v + theta v+. One step of Newton's method and a correction solve for v+, with the
-matrix
+All rows are in one complementarity problem, with their rates w = J v+ at the end of the step:
+
+    bilateral   w = 0                                one-sided   p >= 0,  w >= 0,  p w = 0
+    bounded     |p| <= h limit,  w = 0 inside        friction    p in its cone, against the slip
+
+A one-sided row is in it if its gap would close in the step. M and f are those of an intermediate
+state, at the time theta h with the velocity (1 - theta) v + theta v+. One step of Newton's method
+and a correction solve for v+, with the matrix
 
     K = M - theta h f_v - theta^2 h^2 f_q
 

@@ -1,10 +1,17 @@
 """Rows that hold a frame on one body to a frame on another.
 
-R is the rotation from the axes of b to those of a; omega, the angular velocity of b relative to a,
-and its derivative alpha stand in the axes of a: R' = [omega] x R. How far the axes are turned
-against each other is measured by residuals of the length 2 sin(theta / 2) of the angle theta that
-is left. They vanish only where the axes agree, unlike sines and dot products of axes, which vanish
-at 180 degrees too; their derivatives are exact up to there.
+Positions: with the origins p_a, p_b of the frames and the rotation R_a of frame a,
+
+    g = R_a' (p_b - p_a),   g' = R_a' (v_b - v_a - omega_a x (p_b - p_a)) = J v
+
+in the directions that are held; `relative_motion` evaluates g, J and the rest of g''. Source: R.
+Featherstone, Rigid Body Dynamics Algorithms, 2008, ch. 8.
+
+Rotations: R is the rotation from the axes of b to those of a; omega, the angular velocity of b
+relative to a, and its derivative alpha stand in the axes of a: R' = [omega] x R. How far the axes
+are turned against each other is measured by residuals of the length 2 sin(theta / 2) of the angle
+theta that is left. They vanish only where the axes agree, unlike sines and dot products of axes,
+which vanish at 180 degrees too; their derivatives are exact up to there.
 """
 
 from __future__ import annotations
@@ -265,7 +272,7 @@ class AxisRotation:
 
 
 class RotationResidual(Protocol):
-    """g(R) with g' = slope omega and g'' = slope alpha + drift.
+    """g(R) with g' = slope omega; `drift` is the whole g'', slope alpha included.
 
     Attributes:
         names: Axis about which the multiplier of every row turns, in the axes of a.

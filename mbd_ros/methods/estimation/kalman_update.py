@@ -2,8 +2,11 @@
 
     S = H P H' + R,   K = P H' S^-1,   d = K e,   P+ = (1 - K H) P (1 - K H)' + K R K'
 
-d is a step in the tangent. Source: B. D. O. Anderson, J. B. Moore, Optimal Filtering, 1979, ch. 3;
-P. D. Joseph's form keeps P symmetric and positive, R. S. Bucy, P. D. Joseph, 1968.
+d is a step in the tangent of the manifold at the predicted state x-: the corrected state is x+ =
+x- (+) d. The residual e is y - h(x-), and where the update is iterated about a state x_i, e = y -
+h(x_i) + H (x_i (-) x-). `KalmanFilter.correct` takes these steps. Source: B. D. O. Anderson, J. B.
+Moore, Optimal Filtering, 1979, ch. 3; P. D. Joseph's form keeps P symmetric and positive, R. S.
+Bucy, P. D. Joseph, 1968.
 """
 
 from typing import NamedTuple

@@ -432,7 +432,10 @@ class Transitions:
         try:
             return decided(self._field, x, u, on)
         except SolveError as error:
-            raise type(error)(f"t = {x.t:.9g} s: {error}") from error
+            pace, zeno = self._pace, ""
+            if x.t - pace.t < self._short and pace.quick >= 2 * len(self._field.names):
+                zeno = f"; the last {pace.quick} switching events accumulate there (Zeno)"
+            raise type(error)(f"t = {x.t:.9g} s: {error}{zeno}") from error
 
     def change(self, ways: dict[int, int]) -> None:
         """Switch to another mode; switches that are off are being left."""

@@ -20,6 +20,7 @@ class DryFriction(Constraint):
 
     Args:
         joint: Joint with friction.
+        limit: Largest friction.
         smoothed: Whether it is solved for in every evaluation, which costs the order of the
             method; that is so with a time constant, too.
         time_constant: Of a slow joint that comes to rest by smoothed friction, 0.002 s by default;

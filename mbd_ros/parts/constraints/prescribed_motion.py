@@ -26,6 +26,7 @@ class PrescribedMotion(Constraint):
     g'' + 2 g' / T + g / T^2 = 0.
 
     Args:
+        joint: Driven joint.
         polynomial: c0, c1, ... of f = c0 + c1 t + c2 t^2 + ...
         harmonic: f = offset + amplitude sin(angular_frequency t + phase); amplitude [rad or m] and
             angular_frequency [rad/s], and if not 0 offset [rad or m] and phase [rad].

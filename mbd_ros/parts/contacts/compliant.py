@@ -194,6 +194,7 @@ class Compliant(Load):
         """Slopes of the forces of a feature at rest.
 
         Args:
+            feature: Its slot.
             force: Normal force that it carries [N].
             share: Multiple of the stiffness of the contact.
         """

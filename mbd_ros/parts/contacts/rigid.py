@@ -36,6 +36,7 @@ class Rigid(Constraint):
         pair: Gaps, frames and their derivatives.
         features: Names of its slots.
         contact: What it shows.
+        assemble: As given.
         default_name: What it is called where nobody names it.
 
     Raises:

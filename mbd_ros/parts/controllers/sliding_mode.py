@@ -27,7 +27,9 @@ class SlidingMode(Controller):
         tau = A^+ (a_ref - lambda e' - a_free) - A^+ rho(s)
 
     The first term is the equivalent control of the constrained model, exact without errors: then
-    s' = -rho(s). Couplings and loops stand in a_free and the mobility A.
+    s' = -rho(s). Couplings and loops stand in a_free and the mobility A, of which A^+ is the
+    pseudo-inverse. The reaching law rho is k sgn s (constant), k sgn s + c s (exponential) or
+    k |s|^p sgn s (power rate); for |s| < phi the line from 0 to rho(phi) takes its place.
 
     Args:
         bandwidth: lambda: errors decay by exp(-lambda t) on s = 0.

@@ -33,6 +33,7 @@ class MovingHorizon(Estimator):
         relinearize: Step of a node after which it is linearised again [m, rad and rates]; the
             error is of the order of its square.
         lower: Smallest disturbances, shape (nw,); one number for all; none by default.
+        upper: Largest disturbances.
         keep_bounds: Whether states keep their bounds.
 
     Raises:

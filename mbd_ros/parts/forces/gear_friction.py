@@ -26,9 +26,11 @@ class GearFriction(Load):
         joint: Joint of the drive.
         also: Other joints that turn its motor, and how far it turns with them [motor angle for
             a unit of theirs over that for a unit of `joint`].
+        coulomb: Dry friction.
         load: Dry friction for a unit of the torque that carries the weight.
         stribeck: Dry friction that motion takes away.
         stribeck_velocity: v_s, at which half of that is gone.
+        viscous: Viscous friction.
         offset: What acts besides, such as the offset of a torque sensor with the other sign.
         rotor_inertia: At the joint, behind the gear.
         smoothing: Velocity at which 76 % of the dry friction is reached.

@@ -14,6 +14,8 @@ class JointFriction(Load):
 
     Args:
         joint: Joint that rubs.
+        coulomb: Dry friction.
+        viscous: Viscous friction.
         smoothing: Velocity at which 76 % of the dry friction is reached.
     """
 

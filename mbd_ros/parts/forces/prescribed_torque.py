@@ -18,6 +18,7 @@ class PrescribedTorque(Load):
     """Generalized forces from a table in time: linear between samples, zero outside.
 
     Args:
+        joints: Driven joints.
         times: Sample times, increasing, at least two.
         torque: One row a sample, one column a joint.
     """

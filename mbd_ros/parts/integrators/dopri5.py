@@ -4,8 +4,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mbd_ros.methods.integration.explicit_runge_kutta import ExplicitRungeKutta
 from mbd_ros.methods.integration.runge_kutta import Tableau, matrix
+from mbd_ros.methods.integration.tableau_integrator import ExplicitRungeKutta
 
 # fmt: off
 _STEP = [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84, 0]

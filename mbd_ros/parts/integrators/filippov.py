@@ -3,8 +3,8 @@
 from typing import ClassVar
 
 from mbd_ros.methods.integration.dop853_tableau import DOP853
-from mbd_ros.methods.integration.explicit_runge_kutta import ExplicitRungeKutta
 from mbd_ros.methods.integration.runge_kutta import Tableau
+from mbd_ros.methods.integration.tableau_integrator import ExplicitRungeKutta
 
 
 class Filippov(ExplicitRungeKutta):

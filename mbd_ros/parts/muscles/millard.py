@@ -43,6 +43,7 @@ class Millard(Muscle):
         max_contraction_velocity: Largest speed of shortening, in optimal fibre lengths.
         activation_time: Time constant of rising activation.
         deactivation_time: Time constant of falling activation.
+        minimum_activation: Least activation.
         tendon: elastic, with fibre length as a state, or rigid.
         damping: Of the fibres, in peak forces per largest speed.
         active_lengths: Per optimal length, where active force begins, where its ascent becomes
@@ -59,6 +60,7 @@ class Millard(Muscle):
         tendon_curviness: Of its curve, 0 .. 1.
         shortening_slope: Of the force-velocity curve near the largest speed of shortening.
         shortening_curviness: Of its half of that curve, 0 .. 1.
+        isometric_slope: At rest.
         lengthening_force: Largest force of lengthening fibres per isometric force.
         lengthening_slope: Near the largest speed of lengthening.
         lengthening_curviness: Of its half of the curve, 0 .. 1.

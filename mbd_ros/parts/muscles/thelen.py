@@ -31,6 +31,7 @@ class Thelen(Muscle):
         max_contraction_velocity: Largest speed of shortening, in optimal fibre lengths.
         activation_time: Time constant of rising activation.
         deactivation_time: Time constant of falling activation.
+        minimum_activation: Least activation.
         tendon: elastic, with fibre length as a state, or rigid.
         active_shape: Width of the active force-length curve.
         passive_shape: Exponent of the passive force-length curve.

@@ -19,6 +19,7 @@ class Effort(Sensor):
 
     Args:
         joint: Joint that it is in.
+        noise: Standard deviation.
         offset: What it shows where nothing acts.
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.

@@ -16,6 +16,7 @@ class Encoder(Sensor):
 
     Args:
         joint: Joint that it is on.
+        noise: Standard deviation.
         offset: What it shows at the zero of the joint.
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.

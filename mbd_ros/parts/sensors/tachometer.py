@@ -16,6 +16,7 @@ class Tachometer(Sensor):
 
     Args:
         joint: Joint that it is on.
+        noise: Standard deviation.
         label: What recordings and messages call it; empty for its name.
         delay: From a measurement to its message.
     """
