@@ -4,7 +4,8 @@
 
 The multipliers follow from (J M^-1 J') lam = -(J M^-1 (tau - h) + drift + kd g' + kp g). Pinocchio
 factorises J M^-1 J' while the rows are independent beyond doubt; redundant rows, and rows near a
-toggle, go through its eigenvalues instead. Every answer is checked by J a + drift.
+toggle, go through its eigenvalues instead. Every answer is checked by J a + drift. Source: R.
+Featherstone, Rigid Body Dynamics Algorithms, 2008, sec. 3.2 and 8.5.
 """
 
 from functools import partial

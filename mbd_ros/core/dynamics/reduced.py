@@ -3,7 +3,9 @@
     G' M G y'' = G' (tau - h - M dG/dt y'),   G = dF/dy
 
 `Reduced` forms it from M and h of all joints, `Mimic` has Pinocchio form it at once, where all
-couplings are linear. `IndependentJoints` are the coordinates y of both.
+couplings are linear. `IndependentJoints` are the coordinates y of both; `core.model.couplings`
+evaluates F, G and the drift dG/dt y'. Source: A. A. Shabana, Dynamics of Multibody Systems, 2013,
+sec. 3.5, on embedding.
 """
 
 from __future__ import annotations

@@ -4,8 +4,14 @@ A tendon pulls along the path, fibres at the angle of their `Pennation` to it. F
 forces times curves of lengths per optimal fibre length and per slack length, and of the speed per
 largest speed. Numbers may be floats, symbols, or arrays with an entry a muscle, a sample or both.
 
-Source: F. E. Zajac, Crit. Rev. Biomed. Eng. 17, 1989, 359-411; M. Millard et al., J. Biomech. Eng.
-135, 2013, 021005, doi:10.1115/1.4023390, eq. 1 to 8.
+With the activation a, the speed v of fibres of the length l and the angle alpha, the fibres and
+the tendon of the length l_t are in equilibrium where
+
+    (a f_l(l) f_v(v) + f_p(l) + d v) cos alpha = f_t(l_t)
+
+in units of the peak force: active, passive, damping and tendon force. Source: F. E. Zajac, Crit.
+Rev. Biomed. Eng. 17, 1989, 359-411; M. Millard et al., J. Biomech. Eng. 135, 2013, 021005,
+doi:10.1115/1.4023390, eq. 1 to 8.
 """
 
 from __future__ import annotations

@@ -4,7 +4,8 @@
 
 With w = A lam + b the optimum is a complementarity: w = 0 inside the bounds, w >= 0 at the lower
 one, w <= 0 at the upper one. Gauss's principle asks it of the multipliers of joint stops, dry
-friction and limited drives (`bounded_rows`), impacts that of impulses.
+friction and limited drives (`bounded_rows`), impacts that of impulses. `BoxQp` asks ProxQP which
+bounds are active and solves for the answer on them; `box_moves` does without a solver.
 
 The functions at the end are what active-set methods share: A x + b = 0 in the free rows, x = bound
 in the others. A is symmetric and positive semidefinite. It is singular where rows depend on one

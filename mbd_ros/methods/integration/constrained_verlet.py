@@ -1,4 +1,10 @@
-"""A kick and a move onto position constraints, which SHAKE and RATTLE share."""
+"""A kick and a move onto position constraints, which SHAKE and RATTLE share.
+
+    q+ = q (+) h w,   w = v + h/2 a + M(q)^-1 J(q)' mu   with the mu of g(q+) = 0
+
+mu is found by Newton's method with the rows of the start, or of the end where these have turned.
+Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration, 2006, sec. VII.1.4.
+"""
 
 from math import isfinite
 from typing import NamedTuple

@@ -8,6 +8,8 @@ from mbd_ros.methods.projection.assembly import Stabilization
 class Baumgarte(Stabilization):
     """g'' + (2 zeta / T) g' + g / T^2 = 0. Violations are bounded, not zero.
 
+    The rows of a scene take kp = 1 / T^2 and kd = 2 zeta / T as J a = -drift - kd g' - kp g.
+
     A time constant below 2 dt would make explicit steps unstable: 2 dt is used then, and `check`
     and `simulate` say so.
 

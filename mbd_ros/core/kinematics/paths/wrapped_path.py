@@ -1,8 +1,9 @@
 """A path through points and over surfaces: its length, what it pulls at, and how that changes.
 
 At contacts a path that is as short as possible may slide without getting longer, so that slopes
-are those of straight lines between points that bodies hold: dl = sum e . (dx_end - dx_begin). The
-surfaces that it wraps over are found in `wrap_routes`, the geodesics in `shortest_path`.
+are those of straight lines between points that bodies hold: dl = sum e . (dx_end - dx_begin).
+`Router` finds the surfaces that it wraps over, `shortest_path` the points of tangency, and
+`wrap_surface` has the geodesics between them.
 """
 
 from __future__ import annotations
