@@ -98,7 +98,7 @@ class Plant:
             self._odometry = [OdometryCdrWriter(WORLD, base.frame) for base in scene.robot.bases]
         self._event_table = None
         if self.live.simulation.guards:
-            from mbd_ros.features.simulation.job import event_table  # only with events
+            from mbd_ros.features.simulation.events import event_table  # only with events
 
             self._event_table = event_table
 

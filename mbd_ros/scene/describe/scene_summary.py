@@ -1,6 +1,5 @@
 """A scene in a few lines, for a prompt and for a notebook, and its words for messages."""
 
-import html
 from collections.abc import Iterable, Iterator, Mapping
 from textwrap import shorten
 
@@ -63,6 +62,8 @@ def _names(scene: Scene, section: Section) -> tuple[str, ...]:
 
 def scene_html(scene: Scene) -> str:
     """A table element; names are escaped, since they come from files of others."""
+    import html  # only a notebook asks for it
+
     rows = "".join(
         f"<tr><th>{html.escape(label)}</th><td>{html.escape(text)}</td></tr>"
         for label, text in _rows(scene)
