@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from time import monotonic
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from geometry_msgs.msg import WrenchStamped
@@ -19,7 +19,6 @@ from mbd_ros.errors import SceneError
 from mbd_ros.files.bag_paths import by_member, joint_state_topic, odometry_topic
 from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
-from mbd_ros.methods.inverse_dynamics.power import ObservedPower
 from mbd_ros.methods.inverse_dynamics.standing import Nearness
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.methods.signals.differentiation import SampleStatus
@@ -34,6 +33,9 @@ from msg_adapters.joint_state_cdr import JointStateCdrReader, JointStateCdrWrite
 from msg_adapters.multi_array import MultiArrayCdrWriter
 from msg_adapters.pose import OdometrySample
 from msg_adapters.wrench import write_wrench
+
+if TYPE_CHECKING:
+    from mbd_ros.methods.inverse_dynamics.power import ObservedPower
 
 MOST = 500  # samples that wait, as many as the transport keeps
 Part = JointSample | OdometrySample
@@ -113,6 +115,8 @@ class Pipeline:
     def with_power(self) -> None:
         """Answer with powers from now on."""
         scene = self.scene
+        from mbd_ros.methods.inverse_dynamics.power import ObservedPower  # only on request
+
         self._power = ObservedPower(scene.robot, self._solver, scene.wrenches, scene.acting)
         names = [output.name for output in self._power.outputs]
         self._power_writer = MultiArrayCdrWriter(len(names), names)
