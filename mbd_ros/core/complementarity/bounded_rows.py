@@ -9,7 +9,7 @@
 
 and among all accelerations that the rows allow, a is the nearest to that of the system without
 them, in the mass metric. `BoundedImpulses` solves it for impulses p; w are then the rates of the
-rows after them. `unilateral_impulses` solves for rows that only push.
+rows after them. `PushImpulses` solves for rows that only push.
 
 Source: P. Lötstedt, SIAM J. Appl. Math. 42 (1982), doi:10.1137/0142022.
 """

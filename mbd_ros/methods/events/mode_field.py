@@ -378,8 +378,8 @@ def _together(
 def modes_of(given: Together, names: Sequence[str]) -> tuple[Mode, Mode]:
     """The only modes in which rows and surfaces go on, rows first.
 
-    The sides of the surfaces are tried one after the other, as by `surface_modes.mode_on`; the
-    rows beside each choice are one complementarity problem.
+    The sides of the surfaces are tried one after the other, as by `switching_surfaces.mode_on`;
+    the rows beside each choice are one complementarity problem.
 
     Args:
         given: How they answer.
