@@ -44,11 +44,9 @@ check: venv
 	$(BIN)/python -m pytest -n 2 --dist worksteal $(CHECKS)
 	$(BIN)/python -m pytest test/nodes/test_inverse_dynamics_streams.py -m "not soak and not alone"
 
-test: venv .venv/report .venv/docs browser calculix
-	$(BIN)/python -m pytest -n 2 --dist worksteal --ignore=test/nodes --ignore=test/browser
-	$(BIN)/python -m pytest test/browser
-	$(BIN)/python -m pytest -n 4 --dist worksteal -m "not soak and not alone" test/nodes
-	$(BIN)/python -m pytest -m "alone and not soak" test/nodes
+# APT=no installs nothing by apt-get: the table at the end says which tests were skipped for it.
+test: venv .venv/report .venv/docs $(if $(filter no,$(APT)),,browser calculix)
+	$(BIN)/python test/support/steps.py
 
 # For tests of pages. Where nothing may be installed they are skipped, and say why.
 browser:

@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from crashes import pytest_configure, pytest_handlecrashitem, pytest_unconfigure  # noqa: F401
 from places import ROOT
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # as the command line does, before OpenMP is loaded

@@ -20,6 +20,16 @@ os.environ[PROFILES] = str(ROOT / "test/support/nodes/quick_acks.xml")  # read o
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 
 
+@pytest.fixture(autouse=True)
+def no_node_crashes() -> Iterator[None]:
+    """A node that dies of a signal such as SIGSEGV fails its test, which shows its stack."""
+    yield
+    started = NodeProcess.started
+    crashed = [text for node in started if (text := node.crash())]
+    started[:] = [node for node in started if node.process.poll() is None]
+    assert not crashed, "\n".join(crashed)
+
+
 @pytest.fixture(scope="session")
 def domain() -> Iterator[int]:
     """A domain id that is this session's own on this machine."""

@@ -8,8 +8,9 @@ import threading
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
+import crashes
 from nodes.warm_start import can_start, warm_start
 from places import ROOT
 
@@ -18,9 +19,16 @@ DEADLINE = 30.0  # s, of what takes a moment: a busy machine is no failure
 
 
 class NodeProcess:
-    """A node in a process of its own; what it logs is collected while it runs."""
+    """A node in a process of its own; what it logs is collected while it runs.
+
+    Attributes:
+        started: All nodes that the tests have started and not judged yet.
+    """
+
+    started: ClassVar[list["NodeProcess"]] = []
 
     def __init__(self, command: Sequence[str], domain: int) -> None:
+        self._command = list(command)
         path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
         environment = {
             **os.environ,
@@ -42,6 +50,7 @@ class NodeProcess:
         self._lines: list[str] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
+        self.started.append(self)
 
     @property
     def pid(self) -> int:
@@ -75,6 +84,17 @@ class NodeProcess:
         """Exit code after a signal."""
         self.process.send_signal(number)
         return self.wait(timeout)
+
+    def crash(self) -> str:
+        """Where the evidence of a crash is, and what it says; empty if the node did not crash."""
+        code = self.process.poll()
+        if code is None or -code not in crashes.SIGNALS:
+            return ""
+        self._reader.join(DEADLINE)
+        test = os.environ.get("PYTEST_CURRENT_TEST", "")
+        head = f"{signal.Signals(-code).name} in {test}: {' '.join(self._command)}"
+        path = crashes.report(f"node-{self.pid}", f"{head}\n{self.log}")
+        return f"{path}: {head}\n{self.log}"
 
     def cpu_seconds(self) -> float:
         """User and system time used so far [s]."""

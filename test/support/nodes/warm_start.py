@@ -7,6 +7,7 @@ executable of the package (test_programs, test_launch) imports for itself.
 
 import array
 import ctypes
+import faulthandler
 import functools
 import json
 import os
@@ -128,6 +129,7 @@ def _serve(server: socket.socket) -> dict[str, object] | None:
 
 def _become(words: list[str], environment: dict[str, str], folder: str, path: list[str]) -> None:
     """Run as `python words..` would in an environment and a folder."""
+    faulthandler.enable()  # on the pipe that is stderr now
     signal.signal(signal.SIGINT, signal.default_int_handler)
     os.chdir(folder)
     os.environ.clear()
