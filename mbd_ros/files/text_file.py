@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import gzip
 import os
-import stat
 import uuid
 import zlib
 from collections import Counter
@@ -19,6 +18,8 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_paths import check_target
 from mbd_ros.files.formats import format_of, is_bag
+from mbd_ros.gzip_file import unpacked_gzip
+from mbd_ros.regular_file import open_regular
 
 MAX_LINE = 1_000_000  # bytes
 MAX_COLUMNS = 10_000
@@ -33,13 +34,11 @@ def reading(path: Path) -> Iterator[Any]:
     """The unpacked bytes of a regular file, as a stream.
 
     Raises:
-        DataError: It cannot be read, or its gzip is cut.
+        DataError: It cannot be read, its gzip is cut, or unpacks to more than 2 GB.
     """
     try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise DataError(f"{path}: cannot be read (not a regular file)")
-        with path.open("rb") as raw:
-            yield gzip.GzipFile(fileobj=raw) if path.suffix == ".gz" else raw
+        with open_regular(path) as raw:
+            yield unpacked_gzip(raw) if path.suffix == ".gz" else raw
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise DataError(f"{path}: truncated or corrupt gzip file ({error})") from error
     except OSError as error:

@@ -49,6 +49,7 @@ QP_SOLVERS = f"{CORE}.optimization.qp_solvers"
 MATH = {"numpy", "pinocchio", "eigenpy", "coal"}
 WORLD = {"time", "datetime", "logging", "os", "io", "pathlib", "shutil", "socket", "subprocess"}
 SHELL_ONLY = {"rclpy", "rosbags", "yaml", "matplotlib", "msg_adapters"}
+FILE_READERS = {"mbd_ros.regular_file", "mbd_ros.gzip_file"}
 ALLOWED = {
     "mbd_ros.errors": set(),
     "msg_adapters": {"numpy", "msg_adapters"},
@@ -59,6 +60,7 @@ ALLOWED = {
         *MATH,
         "yaml",
         "mbd_ros.errors",
+        *FILE_READERS,
         CORE,
         METHODS,
         "mbd_ros.compiled",

@@ -137,7 +137,7 @@ def test_empty_section_is_an_absent_one(write, rest):
         ("urdf: leg.urdf", "", "robot: give either 'urdf', 'osim', 'mjcf' or 'description_topic'"),
         ("leg.urdf", "leg.urdf\n  description_topic: a", "give either 'urdf', 'osim', 'mjcf' or"),
         ("leg.urdf", "log.urdf", "log.urdf: robot description cannot be read: No such file"),
-        ("leg.urdf", ".", "robot description is not a regular file"),
+        ("leg.urdf", ".", "it is a directory, not a regular file"),
         ("leg.urdf", "package://mbd_ros/no.urdf", "robot.urdf: package://mbd_ros/no.urdf not fou"),
         ("leg.urdf", "package://mbd_ros//etc/passwd", "leaves the package"),
         ("leg.urdf", "package://mbd_ros/../x.urdf", "leaves the package"),

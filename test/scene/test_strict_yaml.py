@@ -107,8 +107,8 @@ def test_everything_else_is_refused_with_file_and_place(file, content, message):
     ("name", "message"),
     [
         ("missing.yaml", "robot cannot be read: No such file"),
-        (".", "robot is not a regular file"),
-        ("pipe", "robot is not a regular file"),
+        (".", "robot cannot be read: it is a directory, not a regular file"),
+        ("pipe", "robot cannot be read: it is a FIFO, not a regular file"),
         ("a\0b", "robot cannot be read: "),
         ("a\ud800b", "robot cannot be read: "),
         ("x" * 300, "robot cannot be read: File name too long"),

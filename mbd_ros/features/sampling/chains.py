@@ -10,7 +10,6 @@ from dataclasses import replace
 from math import exp, sqrt
 from pathlib import Path
 from typing import Any, NamedTuple
-from zipfile import BadZipFile
 
 import numpy as np
 
@@ -40,6 +39,7 @@ from mbd_ros.features.sampling.task import SampleTask
 from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import progress
 from mbd_ros.jobs.workers.task import pack, unpack
+from mbd_ros.npz_file import read_arrays
 
 _KEYS = ("q", "v", "sweeps", "dt")  # of a checkpoint in a file, beside the number of a block
 _LARGEST = 256  # chains of a block
@@ -395,11 +395,7 @@ def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkp
     Raises:
         DataError: It cannot be read, or is that of another scene or another number of chains.
     """
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            found = {key: file[key] for key in file.files}
-    except (OSError, ValueError, EOFError, BadZipFile) as error:
-        raise DataError(f"{path}: is no checkpoint of sample ({error})") from error
+    found = read_arrays(path, "a checkpoint of mbd-ros sample")
     blocks = []
     for i, size in enumerate(sizes):
         if any(f"{key}{i}" not in found for key in _KEYS):

@@ -1,7 +1,5 @@
 """.npz: numpy's arrays in a zip file, every shape and bit, and a description as JSON."""
 
-import zipfile
-import zlib
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
@@ -11,13 +9,9 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.files.tables.description import column_of, describe, described
 from mbd_ros.files.text_file import replacing
+from mbd_ros.npz_file import read_arrays
 
 _DESCRIPTION = "description.json"
-_LARGEST = 8_000_000_000  # bytes unpacked
-_CORRUPT = (
-    *(zipfile.BadZipFile, zlib.error, NotImplementedError, OSError, EOFError, ValueError),
-    *(KeyError, MemoryError, OverflowError, RuntimeError, TypeError, SyntaxError),
-)
 
 
 class Npz:
@@ -50,22 +44,15 @@ class Npz:
         Raises:
             DataError: Another file, or one that is cut or too large.
         """
+        arrays = read_arrays(path, "a result of mbd_ros")
         try:
-            with zipfile.ZipFile(path) as packed:
-                size = sum(member.file_size for member in packed.infolist())
-            if size > _LARGEST:
-                raise DataError(f"{path}: {size} bytes unpacked, accepted are {_LARGEST}")
-            with np.load(path, allow_pickle=False) as arrays:
-                text = arrays[_DESCRIPTION].tobytes()
-                tables, metadata = described(text, str(path))
-                return Result(
-                    {
-                        name: Table(column_of(e, arrays[f"{name}/{e['name']}"]) for e in entries)
-                        for name, entries in tables.items()
-                    },
-                    metadata,
-                )
-        except FileNotFoundError as error:
-            raise DataError(f"{path}: does not exist") from error
-        except _CORRUPT as error:
-            raise DataError(f"{path}: no result of mbd_ros, or corrupt ({error})") from error
+            tables, metadata = described(arrays[_DESCRIPTION].tobytes(), str(path))
+            return Result(
+                {
+                    name: Table(column_of(e, arrays[f"{name}/{e['name']}"]) for e in entries)
+                    for name, entries in tables.items()
+                },
+                metadata,
+            )
+        except KeyError as error:
+            raise DataError(f"{path}: not a result of mbd_ros (no array {error})") from error

@@ -5,7 +5,6 @@ Files of models are read leniently: in old encodings, and where strict readers o
 
 from __future__ import annotations
 
-import gzip
 import re
 import zlib
 from pathlib import Path
@@ -13,6 +12,8 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from mbd_ros.errors import SceneError
+from mbd_ros.gzip_file import unpacked_gzip
+from mbd_ros.regular_file import open_regular
 
 NO_PLACE = "a scene has no place for it"  # a reason to leave something out
 MAX_BYTES = 64 * 1024 * 1024
@@ -67,11 +68,10 @@ def read_text(path: Path) -> str:
         SceneError: Missing, too large, or no text; names the file.
     """
     try:
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        if path.suffix.lower() == ".gz":
-            data = zlib.decompressobj(16 + zlib.MAX_WBITS).decompress(data, MAX_BYTES + 1)
-    except (OSError, ValueError, EOFError, zlib.error, gzip.BadGzipFile) as error:
+        with open_regular(path) as file:
+            packed = path.suffix.lower() == ".gz"
+            data = (unpacked_gzip(file) if packed else file).read(MAX_BYTES + 1)
+    except (OSError, EOFError, zlib.error) as error:
         reason = getattr(error, "strerror", None) or error
         raise SceneError(f"{path}: model cannot be read: {reason}") from error
     if len(data) > MAX_BYTES:

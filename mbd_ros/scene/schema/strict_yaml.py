@@ -5,14 +5,15 @@ stay text, which the schema then refuses by key.
 """
 
 import math
+import os
 import re
-import stat
 from pathlib import Path
 from typing import Any
 
 import yaml
 
 from mbd_ros.errors import SceneError
+from mbd_ros.regular_file import open_regular
 
 MAX_BYTES = 1024 * 1024
 MAX_DEPTH = 32
@@ -33,18 +34,16 @@ def read_text(path: Path, limit: int, what: str) -> str:
         SceneError: Missing, too large or not text; names the file.
     """
     try:
-        status = path.stat()
-        if not stat.S_ISREG(status.st_mode):
-            raise SceneError(f"{path}: {what} is not a regular file")
-        if status.st_size > limit:
-            raise SceneError(f"{path}: {what} has {status.st_size} bytes, accepted are {limit}")
-        return path.read_text(encoding="utf-8")
+        with open_regular(path) as file:
+            size = os.fstat(file.fileno()).st_size
+            content = file.read(limit + 1)
+        if size > limit or len(content) > limit:
+            raise SceneError(f"{path}: {what} has {size} bytes, accepted are {limit}")
+        return content.decode("utf-8").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise SceneError(f"{path}: {what} is not UTF-8 text: {error.reason}") from error
     except OSError as error:
         raise SceneError(f"{path}: {what} cannot be read: {error.strerror}") from error
-    except ValueError as error:  # a path that no file can have
-        raise SceneError(f"{str(path)!r}: {what} cannot be read: {error}") from error
 
 
 def read_mapping(path: Path, what: str = "scene file") -> dict[str, Any]:

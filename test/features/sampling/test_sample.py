@@ -114,7 +114,7 @@ def test_a_row_as_coordinate_is_swept(capsys):
             (TRIMER, "--temperature", 1, "--coordinate", "distance A C", "--at", 3),
             "cannot be brought",
         ),
-        ((TRIMER, "--temperature", 1, "--continue", "none.npz"), "no checkpoint of sample"),
+        ((TRIMER, "--temperature", 1, "--continue", "none.npz"), "none.npz: cannot be read"),
         (("four_bar_leg", "--thermal-energy", 1, "--method", "langevin"), "constant masses"),
         (("free_flyer", "--thermal-energy", 1), "free body"),
         (("stack", "--thermal-energy", 1), "contacts"),

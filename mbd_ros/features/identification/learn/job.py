@@ -9,7 +9,6 @@ import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile
 
 import numpy as np
 import yaml
@@ -37,12 +36,12 @@ from mbd_ros.files.text_file import refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, share_watch, watching
 from mbd_ros.methods.learned import TrainingRange, about_of, check_robot, numbers_of
 from mbd_ros.motion.recordings import Source
+from mbd_ros.npz_file import read_arrays
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.variants import with_sections
 
 MODEL, WEIGHTS, SCENE = "model.onnx", "weights.npz", "scene.yaml"
-_LARGEST = 256_000_000  # bytes of weights
 
 
 def learn(
@@ -254,16 +253,7 @@ def read_folder(folder: Path) -> Learned:
         DataError: It is none, of another version, or damaged; names it.
     """
     path = folder / WEIGHTS
-    try:
-        if path.stat().st_size > _LARGEST:
-            raise DataError(f"{path}: more than {_LARGEST} bytes")
-        with np.load(path, allow_pickle=False) as file:
-            arrays = {key: file[key] for key in file.files}
-    except OSError as error:
-        raise DataError(f"{path}: cannot be read ({error.strerror or error})") from error
-    except (ValueError, EOFError, KeyError, BadZipFile) as error:
-        raise DataError(f"{path}: is damaged, or no file of mbd-ros learn") from error
-    return _learned(path, arrays)
+    return _learned(path, read_arrays(path, "a file of weights of mbd-ros learn"))
 
 
 def _learned(path: Path, arrays: dict[str, Array]) -> Learned:

@@ -1,0 +1,54 @@
+"""Regular files, opened for reading without waiting.
+
+A FIFO without a writer stops whoever opens it, and a device may never end. Both are refused before
+anything is read, and so are sockets and directories. Symbolic links are followed.
+"""
+
+import errno
+import os
+import stat
+from io import BufferedReader
+from pathlib import Path
+
+_WORDS = {
+    stat.S_IFIFO: "a FIFO",
+    stat.S_IFSOCK: "a socket",
+    stat.S_IFDIR: "a directory",
+    stat.S_IFCHR: "a device",
+    stat.S_IFBLK: "a device",
+}
+
+
+def open_regular(path: str | Path) -> BufferedReader:
+    """Open a regular file for reading.
+
+    Raises:
+        OSError: It is absent, not readable or not a regular file; `strerror` says which.
+    """
+    check_regular(path)  # first, since opening a device may act on it
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+    try:
+        _check_mode(os.fstat(descriptor).st_mode, path)
+        return os.fdopen(descriptor, "rb")
+    except OSError:
+        os.close(descriptor)
+        raise
+
+
+def check_regular(path: str | Path) -> None:
+    """Refuse what is not a regular file, before a library opens it by its path.
+
+    Raises:
+        OSError: It is absent or not a regular file; `strerror` says which.
+    """
+    try:
+        mode = os.stat(path).st_mode
+    except ValueError as error:  # a path that no file can have
+        raise OSError(errno.EINVAL, f"no file can have this name: {error}", str(path)) from error
+    _check_mode(mode, path)
+
+
+def _check_mode(mode: int, path: str | Path) -> None:
+    if not stat.S_ISREG(mode):
+        kind = _WORDS.get(stat.S_IFMT(mode), "of another kind")
+        raise OSError(errno.EINVAL, f"it is {kind}, not a regular file", str(path))
