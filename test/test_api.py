@@ -16,9 +16,7 @@ HEAVY = ("dask", "matplotlib", "pandas", "proxsuite", "pyarrow", "rclpy", "rosba
 def imported(code):
     """Top-level modules of a fresh interpreter after some lines."""
     lines = f"{code}\nimport sys\nprint(*sorted({{m.partition('.')[0] for m in sys.modules}}))"
-    ran = subprocess.run(
-        [sys.executable, "-c", lines], capture_output=True, text=True, check=True, timeout=100
-    )
+    ran = subprocess.run([sys.executable, "-c", lines], capture_output=True, text=True, check=True)
     return set(ran.stdout.split())
 
 
@@ -77,7 +75,6 @@ def test_an_error_is_one_sentence_and_one_traceback():
         [sys.executable, "-c", "import mbd_ros as mbd; mbd.load_scene('arm8')"],
         capture_output=True,
         text=True,
-        timeout=100,
     )
     assert ran.stderr.count("Traceback") == 1
     assert "arm8" in ran.stderr.splitlines()[-1]

@@ -327,7 +327,7 @@ def test_the_process_itself_ends_with_those_codes(tmp_path, motion):
     def run(*words):
         command = [sys.executable, "-m", "mbd_ros.cli", *map(str, words)]
         return subprocess.run(
-            command, capture_output=True, text=True, timeout=60, env=environment, check=False
+            command, capture_output=True, text=True, env=environment, check=False
         )
 
     bad = run("check", tmp_path / "none.yaml")

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from deadline import DEADLINE
 from PIL import Image
 
 from mbd_ros import load_scene
@@ -35,6 +36,7 @@ def offline(browser):
         contexts.append(
             browser.new_context(offline=True, viewport={"width": width, "height": height})
         )
+        contexts[-1].set_default_timeout(1e3 * DEADLINE)
         tab, asked, thrown = contexts[-1].new_page(), [], []
         tab.add_init_script(COUNT_IMAGES)
         tab.on("request", lambda request: asked.append(request.url))
@@ -56,7 +58,7 @@ def image_of(frame):
 
 def drawn(tab, frame, least):
     """Waits for so many images."""
-    end = time.monotonic() + 30.0
+    end = time.monotonic() + DEADLINE
     while frame.evaluate("window.images") < least:
         assert time.monotonic() < end, "nothing is drawn"
         tab.wait_for_timeout(100)
@@ -96,11 +98,10 @@ def test_the_page_of_a_demo_moves_without_a_network(
     frame.wait_for_selector("canvas")
     drawn(tab, frame, 10)
     begin, before = frame.evaluate("[performance.now(), window.images]")
-    tab.wait_for_timeout(1000)
+    drawn(tab, frame, before + 10)  # how fast depends on what else this machine does
     end, now = frame.evaluate("[performance.now(), window.images]")
     rate = 1000.0 * (now - before) / (end - begin)
     record_testsuite_property(f"images a second at {width} px", round(rate, 1))
-    assert rate > 1.0  # how fast depends on what else this machine does
     first, last = shown_at(tab, frame, 0.02), shown_at(tab, frame, 0.95)
     assert differing(first, last) > 200
     screenshot(tab, f"demo_{width}")

@@ -7,6 +7,7 @@ import time
 
 import numpy as np
 import pytest
+from deadline import DEADLINE
 from PIL import Image
 from view_page import EVIL, NOTICE, evil_arm, orange, red, settled
 
@@ -59,6 +60,7 @@ def serve():
 def opened(browser, page, width=1280, height=800):
     """The page in a tab, and every address that it asked for."""
     tab, asked = browser.new_page(viewport={"width": width, "height": height}), []
+    tab.set_default_timeout(1e3 * DEADLINE)
     tab.on("request", lambda request: asked.append(request.url))
     tab.goto(page.address)
     tab.wait_for_selector("canvas")
@@ -156,7 +158,7 @@ def test_a_browser_downloads_a_film_of_the_motion(browser, serve, tmp_path):
     av = pytest.importorskip("av", reason="av is not installed")
     tab, _ = opened(browser, serve(evil_arm(tmp_path), 0.6))
     settled(tab, lambda image: red(image).sum() > 500)
-    with tab.expect_download(timeout=100_000) as waiting:
+    with tab.expect_download() as waiting:
         tab.get_by_role("button", name="film").click()
     with av.open(str(waiting.value.path())) as file:
         images = [frame.to_ndarray(format="rgb24").astype(int) for frame in file.decode(video=0)]

@@ -31,7 +31,6 @@ def test_an_example_runs(name, tmp_path):
         cwd=tmp_path,
         capture_output=True,
         text=True,
-        timeout=100,
     )
     assert ran.returncode == 0, ran.stderr
     assert re.search(SAYS[name], ran.stdout), ran.stdout

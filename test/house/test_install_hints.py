@@ -28,7 +28,7 @@ def run(hidden, program, *words):
     text = HIDING.format(hidden=hidden, words=[program, *map(str, words)], program=program)
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
     command = [sys.executable, "-c", text]
-    return subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60)
+    return subprocess.run(command, env=environment, capture_output=True, text=True)
 
 
 BAG = ("simulate", SCENES / "arm7.yaml", "-t", "0.002", "-o")

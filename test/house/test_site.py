@@ -13,8 +13,6 @@ from mbd_ros.features.tools.completion import all_words
 from mbd_ros.nodes.table import NODES
 from mbd_ros.scene.schema.registry import PARTS
 
-pytestmark = pytest.mark.timeout(300)  # a build takes 15 s, but not beside others
-
 LOADING = {"script": "src", "img": "src", "iframe": "src", "link": "href", "source": "src"}
 
 
@@ -42,7 +40,7 @@ def site(tmp_path_factory):
     pytest.importorskip("myst_parser")
     out = tmp_path_factory.mktemp("site")
     words = [sys.executable, "docs/site/build.py", str(out)]
-    built = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, timeout=280)
+    built = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
     assert built.returncode == 0, built.stderr
     assert built.stderr == ""
     return {page.name: Read(page) for page in out.glob("*.html")}

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from deadline import DEADLINE
 from page_blocks import ROOT, blocks, commands, task_pages
 
 from mbd_ros.cli import main
@@ -39,7 +40,7 @@ def run(line, folder):
         return
     if words[1] in PROCESSES:
         started = [sys.executable, "-m", "mbd_ros", *words[1:]]
-        ran = subprocess.run(started, cwd=folder, capture_output=True, text=True, timeout=600)
+        ran = subprocess.run(started, cwd=folder, capture_output=True, text=True)
         sys.stdout.write(ran.stdout)
         assert ran.returncode == 0, ran.stderr
         return
@@ -60,7 +61,7 @@ def serve(words, folder):
     try:
         assert any("http://127.0.0.1:" in line for line in served.stdout), words
         served.send_signal(signal.SIGINT)
-        assert served.wait(20) == 0
+        assert served.wait(DEADLINE) == 0
     finally:
         served.kill()
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 import rclpy
+from deadline import DEADLINE
 from nodes.demo_command import command
-from nodes.node_process import DEADLINE
 from nodes.probe import Probe
 from rclpy.context import Context
 from rosgraph_msgs.msg import Clock
@@ -58,7 +58,7 @@ def interrupted(tmp_path, act):
         wait_until_time_runs(nodes["simulator"])
         act(running.pid, nodes)
         said = running.stderr.read()
-        code = running.wait(30)
+        code = running.wait(DEADLINE)
     assert not any(Path(f"/proc/{pid}").exists() for pid in nodes.values())
     assert list(tmp_path.iterdir()) == []
     assert "Traceback" not in said

@@ -49,9 +49,7 @@ def recorded(folder, true, bag):
                 nodes.append(
                     started(domain, folder, "reference_player", lead, bag=bag, use_sim_time="true")
                 )
-                probe.spin_until(
-                    lambda: found and found[-1].header.stamp.sec >= PERIOD + LEAD, timeout=90.0
-                )
+                probe.spin_until(lambda: found and found[-1].header.stamp.sec >= PERIOD + LEAD)
                 assert all(node.stop() == 0 for node in reversed(nodes))
             finally:
                 for node in nodes:

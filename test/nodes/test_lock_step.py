@@ -9,7 +9,7 @@ from collections import Counter
 
 import numpy as np
 import pytest
-from nodes.node_process import DEADLINE
+from deadline import DEADLINE
 from nodes.relay import REMAPPED, Relay, ended, started
 from nodes.simulation_client import ARM, NAME, PENDULUM, QuickProbe, simulated
 from places import ROOT

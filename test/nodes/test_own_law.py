@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import yaml
 from nodes.control_client import controlled
-from nodes.node_process import DEADLINE
 from nodes.simulation_client import NAME, simulated
 from places import ROOT
 from rcl_interfaces.srv import DescribeParameters, GetParameters
@@ -113,7 +112,7 @@ def test_it_controls_the_simulator_in_lock_step_with_gains_from_a_file(domain, t
                 arm.probe.spin_for(0.02)
                 return np.abs(np.array(arm.newest.position)[at] - target).max() < 1e-4
 
-            client.probe.spin_until(is_there, timeout=3.0 * DEADLINE)
+            client.probe.spin_until(is_there)
             client.probe.spin_until(lambda: np.abs(client.states[-1].position).max() < 1e-3)
             arm.probe.spin_for(0.1)
             ticks = np.unique(arm.stamps())

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from deadline import DEADLINE
 from mechanisms import floating_body
 from places import ROOT
 
@@ -40,7 +41,7 @@ def command(*words):
 def mbd_ros(*words, code=0):
     """What a command prints on stdout and stderr, once it has ended with `code`."""
     line, environment = command(*words)
-    ran = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=90)
+    ran = subprocess.run(line, env=environment, capture_output=True, text=True)
     assert ran.returncode == code, ran.stdout + ran.stderr
     assert "Traceback" not in ran.stderr
     return ran.stdout + ran.stderr
@@ -276,7 +277,7 @@ def test_bad_input_gives_exit_code_2_its_reason_and_leaves_nothing(
     if "-o" not in words:
         words = [*words, "-o", tmp_path / "out"]
     line, environment = command("replay", *words)
-    ran = subprocess.run(line, env=environment, capture_output=True, text=True, timeout=60)
+    ran = subprocess.run(line, env=environment, capture_output=True, text=True)
     assert ran.returncode == 2, ran.stderr
     last = ran.stderr.splitlines()[-1]
     assert last.startswith("mbd-ros replay: ")
@@ -321,7 +322,7 @@ def test_a_signal_in_the_middle_leaves_neither_bag_nor_process(tmp_path, how):
         else:
             player.send_signal(signal.SIGINT if how == "interrupt" else signal.SIGTERM)
         rest = player.stderr.read()
-        assert player.wait(10) == 130, rest
+        assert player.wait(DEADLINE) == 130, rest
     assert "interrupted" in rest
     assert "Traceback" not in rest
     assert not Path(f"/proc/{node[0]}").exists()

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from nodes.node_process import DEADLINE
+from deadline import DEADLINE
 from nodes.simulation_client import DEEP, NAME, simulated
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from std_msgs.msg import Float64MultiArray, String

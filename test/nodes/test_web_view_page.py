@@ -4,6 +4,7 @@ import re
 
 import numpy as np
 import pytest
+from deadline import DEADLINE
 from geometry_msgs.msg import WrenchStamped
 from nodes.joint_stream import ACTIVE
 from places import ROOT
@@ -33,6 +34,7 @@ def live(start_node):
 def tab_of(browser, address):
     """A tab, every address that it asked for, and what popped up."""
     tab, asked, alerts = browser.new_page(viewport={"width": 1280, "height": 800}), [], []
+    tab.set_default_timeout(1e3 * DEADLINE)
     tab.on("request", lambda request: asked.append(request.url))
     tab.on("dialog", lambda dialog: (alerts.append(dialog.message), dialog.dismiss()))
     tab.goto(address)

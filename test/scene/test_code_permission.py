@@ -145,7 +145,7 @@ def test_a_module_that_is_not_found_is_told_with_where_it_was_looked_for(foreign
     assert "of the scene is not searched" in str(caught.value)
     program = Path(sys.executable).with_name("mbd-ros")
     words = [str(program), "check", str(foreign), "--allow-code"]
-    ran = subprocess.run(words, cwd=foreign.parent, capture_output=True, text=True, timeout=60)
+    ran = subprocess.run(words, cwd=foreign.parent, capture_output=True, text=True)
     assert ran.returncode == 2 and "No module named 'beside_scene'" in ran.stderr
 
 

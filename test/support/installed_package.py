@@ -36,5 +36,5 @@ def install(folder, name, modules, group, entries):
     (source / "pyproject.toml").write_text(project, encoding="utf-8")
     words = ["install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation"]
     pip = [sys.executable, "-m", "pip", *words, "--target", target, source]
-    subprocess.run(pip, check=True, capture_output=True, timeout=100)
+    subprocess.run(pip, check=True, capture_output=True)
     return target

@@ -4,6 +4,7 @@ import io
 import time
 
 import numpy as np
+from deadline import DEADLINE
 from PIL import Image
 
 from mbd_ros.api import load_scene
@@ -43,11 +44,11 @@ def orange(image):
     return image[..., 0] - image[..., 2] > 30
 
 
-def settled(tab, condition, seconds=30.0):
+def settled(tab, condition):
     """The first picture that meets a condition, or the last one."""
     from playwright.sync_api import Error
 
-    end = time.monotonic() + seconds
+    end = time.monotonic() + DEADLINE
     while True:
         try:
             image = pixels(tab)

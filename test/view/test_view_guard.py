@@ -3,6 +3,7 @@
 import socket
 
 import pytest
+from deadline import DEADLINE
 
 pytest.importorskip("viser", reason="viser is not installed")
 
@@ -37,7 +38,7 @@ def asked(port, path="/", raw=None, **headers):
     given = {"Host": f"127.0.0.1:{port}", **{n.replace("_", "-"): v for n, v in headers.items()}}
     lines = [f"GET {path} HTTP/1.1", *(f"{name}: {value}" for name, value in given.items())]
     data = "\r\n".join([*lines, "", ""]).encode("latin-1") if raw is None else raw
-    with socket.create_connection(("127.0.0.1", port), timeout=10.0) as link:
+    with socket.create_connection(("127.0.0.1", port), timeout=DEADLINE) as link:
         link.sendall(data)
         answer = b""
         while b"\r\n\r\n" not in answer and (piece := link.recv(65536)):

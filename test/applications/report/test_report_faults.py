@@ -7,6 +7,7 @@ import sys
 import time
 
 import pytest
+from deadline import DEADLINE
 from places import ROOT
 from report_runs import numbers, ran, report, use_fake
 
@@ -25,7 +26,7 @@ def test_killed_halfway_the_rest_is_done_later(tmp_path, how):
     driver = subprocess.Popen(
         words, env=environment, start_new_session=True, stderr=subprocess.PIPE, text=True
     )
-    stop = time.monotonic() + 60
+    stop = time.monotonic() + DEADLINE
     while len(ran(tmp_path)) < 5 and time.monotonic() < stop:
         time.sleep(0.02)
     os.killpg(driver.pid, how)
@@ -53,7 +54,7 @@ def test_workers_end_with_a_killed_parent(tmp_path):
         tmp_path / "out",
     ]
     driver = subprocess.Popen(words, env=environment, start_new_session=True)
-    stop = time.monotonic() + 60
+    stop = time.monotonic() + DEADLINE
     while len(ran(tmp_path)) < 3 and time.monotonic() < stop:
         time.sleep(0.02)
     driver.kill()

@@ -4,6 +4,7 @@ import re
 import sys
 
 import pytest
+from deadline import DEADLINE
 
 from mbd_ros.applications.report.compose import plain, scene_pages
 from mbd_ros.applications.report.items import Section, Table
@@ -125,6 +126,7 @@ def test_progress_is_shown_on_a_terminal(monkeypatch, capsys):
 def test_a_browser_without_network_has_nothing_to_say(browser, tmp_path, width):
     (tmp_path / "index.html").write_text(PAGE, encoding="utf-8")
     context = browser.new_context(viewport={"width": width, "height": 800}, offline=True)
+    context.set_default_timeout(1e3 * DEADLINE)
     view, said, asked = context.new_page(), [], []
     view.on("console", lambda message: said.append(message.text))
     view.on("pageerror", lambda error: said.append(str(error)))

@@ -295,7 +295,6 @@ def test_a_description_without_any_mass_gets_its_masses_from_the_motion():
 
 
 @pytest.mark.soak
-@pytest.mark.timeout(600)
 def test_a_million_samples_take_a_minute_of_one_core():
     scene, t = scene_from({}, urdf="arm7"), np.arange(10**6) * 1e-3
     names = scene.couplings.independent

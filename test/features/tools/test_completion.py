@@ -8,6 +8,7 @@ import subprocess
 import time
 
 import pytest
+from deadline import DEADLINE
 
 from mbd_ros.cli import main
 from mbd_ros.jobs.table import COMMANDS
@@ -50,10 +51,10 @@ class Terminal:
         )
         os.close(slave)
 
-    def words_of(self, keys, seconds=20.0):
+    def words_of(self, keys):
         """Words that the program gets for a line of keys."""
         os.write(self.master, f"{keys}\n".encode())
-        text, end = "", time.monotonic() + seconds
+        text, end = "", time.monotonic() + DEADLINE
         while not (found := re.search(r"^<(.*)>\r?$", text, re.MULTILINE)):
             left = end - time.monotonic()
             assert left > 0 and select.select([self.master], [], [], left)[0], text

@@ -11,24 +11,26 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import crashes
+from deadline import DEADLINE
 from nodes.warm_start import can_start, warm_start
 from places import ROOT
 
 PROFILES = "FASTRTPS_DEFAULT_PROFILES_FILE"
-DEADLINE = 30.0  # s, of what takes a moment: a busy machine is no failure
+_COMPUTING = 0.3  # s
 
 
 class NodeProcess:
     """A node in a process of its own; what it logs is collected while it runs.
 
     Attributes:
+        command: Arguments of the process.
         started: All nodes that the tests have started and not judged yet.
     """
 
     started: ClassVar[list["NodeProcess"]] = []
 
     def __init__(self, command: Sequence[str], domain: int) -> None:
-        self._command = list(command)
+        self.command = list(command)
         path = os.pathsep.join(p for p in (str(ROOT), os.environ.get("PYTHONPATH")) if p)
         environment = {
             **os.environ,
@@ -62,28 +64,35 @@ class NodeProcess:
         """Everything written to stderr until now."""
         return "".join(self._lines)
 
-    def wait_for(self, text: str, timeout: float = DEADLINE) -> None:
+    def wait_for(self, text: str) -> None:
         """Return when `text` was logged.
 
         Raises:
-            AssertionError: It was not, within `timeout` [s] or the life of the process.
+            AssertionError: It was not, within `DEADLINE` or the life of the process.
         """
-        end = time.monotonic() + timeout
+        end = time.monotonic() + DEADLINE
         while text not in self.log:
             alive = self.process.poll() is None and time.monotonic() < end
             assert alive or text in self.log, f"never logged {text!r}:\n{self.log}"
             time.sleep(0.01)
 
-    def wait(self, timeout: float = DEADLINE) -> int:
-        """Exit code, once the process has ended by itself."""
-        code = self.process.wait(timeout)
-        self._reader.join(timeout)
+    def wait(self) -> int:
+        """Exit code, once the process has ended by itself.
+
+        Raises:
+            AssertionError: It has not, within `DEADLINE`.
+        """
+        try:
+            code = self.process.wait(DEADLINE)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"never ended:\n{self.log}") from None
+        self._reader.join(DEADLINE)
         return code
 
-    def stop(self, number: int = signal.SIGINT, timeout: float = DEADLINE) -> int:
+    def stop(self, number: int = signal.SIGINT) -> int:
         """Exit code after a signal."""
         self.process.send_signal(number)
-        return self.wait(timeout)
+        return self.wait()
 
     def crash(self) -> str:
         """Where the evidence of a crash is, and what it says; empty if the node did not crash."""
@@ -92,7 +101,7 @@ class NodeProcess:
             return ""
         self._reader.join(DEADLINE)
         test = os.environ.get("PYTEST_CURRENT_TEST", "")
-        head = f"{signal.Signals(-code).name} in {test}: {' '.join(self._command)}"
+        head = f"{signal.Signals(-code).name} in {test}: {' '.join(self.command)}"
         path = crashes.report(f"node-{self.pid}", f"{head}\n{self.log}")
         return f"{path}: {head}\n{self.log}"
 
@@ -100,6 +109,16 @@ class NodeProcess:
         """User and system time used so far [s]."""
         fields = Path(f"/proc/{self.pid}/stat").read_text().rsplit(")", 1)[1].split()
         return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    def activity(self) -> float:
+        """CPU time of the node in terms of that of this thread, which computes meanwhile.
+
+        A node that never waits has some 1, however many others run on the machine.
+        """
+        begin, end = self.cpu_seconds(), time.thread_time() + _COMPUTING
+        while time.thread_time() < end:
+            pass
+        return (self.cpu_seconds() - begin) / _COMPUTING
 
     def held_up(self) -> float:
         """For how long its main thread and that of the test were ready, but others ran [s]."""

@@ -6,6 +6,7 @@ from typing import Any
 import msgspec.msgpack
 import viser
 import zstandard
+from deadline import DEADLINE
 from viser import _messages
 from websockets.sync.client import connect
 
@@ -48,9 +49,9 @@ class PageClient:
                 break
         return heard
 
-    def wait_for(self, done: Any, seconds: float = 30.0) -> dict[str, Any]:
+    def wait_for(self, done: Any) -> dict[str, Any]:
         """The first message from now on that satisfies `done`."""
-        end = time.monotonic() + seconds
+        end = time.monotonic() + DEADLINE
         while time.monotonic() < end:
             for message in self.hear(0.05):
                 if done(message):
@@ -59,7 +60,7 @@ class PageClient:
 
     def labelled(self, label: str) -> dict[str, Any]:
         """The element of the panel with that label."""
-        end = time.monotonic() + 30.0
+        end = time.monotonic() + DEADLINE
         while time.monotonic() < end:
             for message in self.state.values():
                 if (message.get("props") or {}).get("label") == label and "uuid" in message:

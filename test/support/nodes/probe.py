@@ -5,9 +5,10 @@ from collections.abc import Callable
 from typing import Any
 
 import rclpy
+from deadline import DEADLINE
 from diagnostic_msgs.msg import DiagnosticArray
 from lifecycle_msgs.srv import ChangeState, GetState
-from nodes.node_process import DEADLINE
+from nodes.node_process import NodeProcess
 from rcl_interfaces.srv import SetParameters
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -46,7 +47,7 @@ class Probe:
         """
         end = time.monotonic() + timeout
         while not (value := done()):
-            assert time.monotonic() < end, f"waited {timeout} s; last health: {self.health[-1:]}"
+            assert time.monotonic() < end, self._expired(timeout)
             self._executor.spin_once(timeout_sec=0.02)
         return value
 
@@ -104,7 +105,7 @@ class Probe:
                 self._executor.spin_once(timeout_sec=0.02)
             if future.done():
                 return future.result()
-        raise AssertionError(f"{client.srv_name}: no response")
+        raise AssertionError(f"{client.srv_name}: no response; {self._expired(DEADLINE)}")
 
     def set_parameter(self, node: str, name: str, value: Any) -> Any:
         """SetParametersResult of one change."""
@@ -123,6 +124,12 @@ class Probe:
         """Label of the life cycle state, when the node has handled all that was sent before."""
         response = self.call(GetState, f"{node}/get_state", GetState.Request())
         return str(response.current_state.label)
+
+    def _expired(self, timeout: float) -> str:
+        """How long was waited, and what all nodes said meanwhile."""
+        logs = [f"{' '.join(node.command)}:\n{node.log}" for node in NodeProcess.started]
+        newest = {health.name: health for health in self.health}
+        return "\n".join([f"waited {timeout} s in vain", *map(str, newest.values()), *logs])
 
     def _keep(self, msg: Any) -> None:
         self.health += read_diagnostics(msg)

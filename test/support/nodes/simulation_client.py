@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from deadline import DEADLINE
 from nodes.joint_stream import ACTIVE, parameter_file
-from nodes.node_process import DEADLINE, NodeProcess
+from nodes.node_process import NodeProcess
 from nodes.probe import Probe
 from places import ROOT
 from rclpy.duration import Duration

@@ -1,0 +1,8 @@
+"""The one time-out of all tests: what is awaited comes by then, however busy the machine is.
+
+A wait ends as soon as its condition holds, so that a generous time-out costs nothing.
+"""
+
+DEADLINE = 120.0  # s; a test as a whole has the `timeout` of pyproject.toml, which is longer
+# Parameters of a node that answers a stream: no pause of a busy machine is silence to it.
+PATIENT = {"timeout": 60.0, "clock_tolerance": 60.0}
