@@ -42,11 +42,11 @@ def cache_of_the_run(tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def data_dir():
-    """Folder of the recorded data, which is no part of the package."""
+    """Folder of the data of others that `test/data` does not hold."""
     beside = ROOT.parent / "shared" / "data"
     folder = Path(os.environ.get("MBD_ROS_DATA", beside))
     if not folder.is_dir():
-        pytest.skip(f"no recorded data at {folder}: set MBD_ROS_DATA")
+        pytest.skip(f"no data of others at {folder}: set MBD_ROS_DATA")
     return folder
 
 

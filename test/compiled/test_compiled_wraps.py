@@ -4,6 +4,7 @@ import gzip
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 from wrapping import POINTS, WRAPS, swing
 
 import mbd_ros as mbd
@@ -85,8 +86,8 @@ def test_derivatives_and_batches_are_refused_by_name():
     assert "paths that wrap are searched one run at a time" in batch.how
 
 
-def test_arm26_is_that_of_the_plain_tier(data_dir, tmp_path):
-    packed = data_dir / "opensim/arm26_muscles/raw/arm26.osim.gz"
+def test_arm26_is_that_of_the_plain_tier(tmp_path):
+    packed = RECORDINGS / "arm26/muscles/raw/arm26.osim.gz"
     model = tmp_path / "arm26.osim"
     model.write_bytes(gzip.decompress(packed.read_bytes()))
     system = mbd.load_scene(model).system()

@@ -9,6 +9,7 @@ from contextlib import contextmanager, suppress
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 from mbd_ros.core.state import WrenchSamples
 from mbd_ros.errors import DataError
@@ -285,8 +286,8 @@ def test_times_that_messages_cannot_hold_are_refused(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_recorded_robot_with_and_without_stamps_is_the_same_motion(data_dir):
-    folder, joints = data_dir / "panda_unisa_ros2bag", [f"fer_joint{i}" for i in range(1, 8)]
+def test_recorded_robot_with_and_without_stamps_is_the_same_motion():
+    folder, joints = RECORDINGS / "panda", [f"fer_joint{i}" for i in range(1, 8)]
     stamped = read_motion(folder / "bag", joints)
     bare = read_motion(folder / "panda_exciting_trajectory.db3", joints)
     assert (stamped.by_log_time, bare.by_log_time) == (False, True)
@@ -297,9 +298,9 @@ def test_recorded_robot_with_and_without_stamps_is_the_same_motion(data_dir):
         assert values.shape == (727, 7) and (values == getattr(bare.motion, field)).all()
 
 
-def test_recorded_walk_is_the_same_in_table_and_bag(data_dir):
+def test_recorded_walk_is_the_same_in_table_and_bag():
     """The bag is the table interpolated to 200 Hz, so only the common first sample is equal."""
-    folder, joints = data_dir / "gait10dof_walk", ["hip_flexion_r", "knee_angle_r"]
+    folder, joints = RECORDINGS / "gait10dof/walk", ["hip_flexion_r", "knee_angle_r"]
     table_motion = read_motion(folder / "motion.csv.gz", joints).motion
     bag_motion = read_motion(folder / "bag", joints).motion
     assert len(table_motion.stamps) == 151 and len(bag_motion.stamps) == 500

@@ -5,6 +5,7 @@ import resource
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.tables.csv import read_table, write_table
@@ -141,8 +142,8 @@ def test_write_that_fails_half_way_leaves_the_old_file_alone(tmp_path, values, s
     assert len(list(tmp_path.iterdir())) == 1
 
 
-def test_recorded_walk_is_read_whole_and_exact(data_dir):
-    path = data_dir / "gait10dof_walk" / "motion.csv.gz"
+def test_recorded_walk_is_read_whole_and_exact():
+    path = RECORDINGS / "gait10dof/walk" / "motion.csv.gz"
     table = read_table(path)
     lines = gzip.decompress(path.read_bytes()).decode().splitlines()[1:]
     assert table.values.tolist() == [[float(cell) for cell in line.split(",")] for line in lines]

@@ -4,6 +4,7 @@ import gzip
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.laboratory.markers import read_markers
@@ -117,9 +118,9 @@ def test_truncated_marker_files_are_refused(tmp_path):
         read_markers(table)
 
 
-def test_a_recording_of_a_laboratory_is_read(data_dir):
+def test_a_recording_of_a_laboratory_is_read():
     """Against the same markers in another file."""
-    folder = data_dir / "opensim" / "gait10dof_marker_ik"
+    folder = RECORDINGS / "gait10dof/marker_ik"
     markers = read_markers(folder / "raw" / "subject01_walk.trc.gz")
     assert markers.position.shape == (151, 41, 3) and markers.labels[:2] == ("R.ASIS", "L.ASIS")
     known = read_result(folder / "markers.csv.gz")["samples"]

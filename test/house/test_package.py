@@ -21,7 +21,7 @@ from mbd_ros.scene.schema.registry import PARTS, resolve
 
 PACKAGE = ElementTree.parse(ROOT / "package.xml").getroot()
 SOURCES = ["setup.py", "setup.cfg", "pyproject.toml", "package.xml", "LICENSE"]
-FOLDERS = ["mbd_ros", "msg_adapters", "resource", "launch", "config"]
+FOLDERS = ["mbd_ros", "msg_adapters", "resource", "launch", "config", "test"]
 
 
 @pytest.fixture(scope="module")
@@ -93,9 +93,13 @@ def test_the_wheel_shares_every_launch_and_config_file(wheel):
     assert shared == wanted | {marker, "mbd_ros/package.xml"}
 
 
-def test_the_wheel_holds_every_module_and_no_test(wheel):
+def test_the_wheel_holds_every_module_and_no_test_or_recording(wheel):
     modules = {n for n in wheel.namelist() if n.endswith(".py") and ".data/" not in n}
     assert modules == names("mbd_ros", "*.py") | names("msg_adapters", "*.py")
+    assert {n.split("/")[0] for n in wheel.namelist()} <= {
+        *("mbd_ros", "msg_adapters"),
+        *(f"mbd_ros-{PACKAGE.findtext('version')}.{kind}" for kind in ("data", "dist-info")),
+    }
 
 
 def test_the_licence_travels_with_the_wheel(wheel):

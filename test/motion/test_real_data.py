@@ -6,6 +6,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import RECORDINGS
 from scipy.interpolate import CubicSpline
 
 import mbd_ros
@@ -36,10 +37,10 @@ def torques(folder, motion, out, *options):
 
 
 @pytest.mark.parametrize(
-    ("name", "wrenches", "bound"), [("gait10dof_walk", True, 0.005), ("arm26_elbow", False, 0.015)]
+    ("name", "wrenches", "bound"), [("gait10dof/walk", True, 0.005), ("arm26/elbow", False, 0.015)]
 )
-def test_torques_equal_those_of_opensim(data_dir, tmp_path, name, wrenches, bound):
-    folder = data_dir / name
+def test_torques_equal_those_of_opensim(tmp_path, name, wrenches, bound):
+    folder = RECORDINGS / name
     options = ("--wrenches", folder / "external_wrenches.csv.gz") if wrenches else ()
     ours = torques(folder, "motion.csv.gz", tmp_path / "out.csv", *options)
     reference = columns(folder / "reference_torques.csv.gz")
@@ -49,9 +50,9 @@ def test_torques_equal_those_of_opensim(data_dir, tmp_path, name, wrenches, boun
     assert max(percent(ours[c], reference[c]) for c in efforts) <= bound
 
 
-def test_torques_from_the_bag_equal_those_of_opensim(data_dir, tmp_path):
+def test_torques_from_the_bag_equal_those_of_opensim(tmp_path):
     """The bag has 200 Hz and no acceleration, the reference 60 Hz; stamps begin at 1000 s."""
-    folder = data_dir / "gait10dof_walk"
+    folder = RECORDINGS / "gait10dof/walk"
     ours = torques(folder, "bag", tmp_path / "out.csv", "--derivatives", "zero-phase")
     reference = columns(folder / "reference_torques.csv.gz")
     time = reference["time"] + 1000.0
@@ -66,8 +67,8 @@ def test_torques_from_the_bag_equal_those_of_opensim(data_dir, tmp_path):
 
 
 @pytest.fixture(scope="module")
-def walk(data_dir):
-    folder = data_dir / "gait10dof_walk"
+def walk():
+    folder = RECORDINGS / "gait10dof/walk"
     return (
         load_scene(folder / "scene.yaml"),
         columns(folder / "motion.csv.gz"),
@@ -177,9 +178,9 @@ def test_knee_paths_of_the_gait_scene_have_no_kink(walk):
     assert sides[0] == pytest.approx(sides[1], abs=1e-7)
 
 
-def test_hand_equals_pinocchios_own_mimic_model(data_dir):
+def test_hand_equals_pinocchios_own_mimic_model():
     """Fresh data a call: `crba` and others of mimic models remember too much."""
-    path = data_dir / "models/psyonic_ability_hand_right_large.urdf"
+    path = RECORDINGS / "psyonic_hand/psyonic_ability_hand_right_large.urdf"
     scene, own = scene_from(urdf=path), pin.buildModelFromUrdf(str(path), mimic=True)
     assert len(scene.couplings.dependent) == 4
     assert own.nv == len(scene.couplings.independent) == 6
@@ -199,9 +200,9 @@ def test_hand_equals_pinocchios_own_mimic_model(data_dir):
 
 
 @pytest.mark.parametrize("form", ["absent", "present", "shuffled"])
-def test_prosthetic_hand_from_messages(data_dir, form):
+def test_prosthetic_hand_from_messages(form):
     """Mimic joints absent from, present in and shuffled within joint states: the same torques."""
-    path = data_dir / "models/psyonic_ability_hand_right_large.urdf"
+    path = RECORDINGS / "psyonic_hand/psyonic_ability_hand_right_large.urdf"
     scene, own = scene_from(urdf=path), pin.buildModelFromUrdf(str(path), mimic=True)
     couplings, rng = scene.couplings, np.random.default_rng(3)
     z, v = rng.uniform(0, 1.7, 6), rng.normal(size=6)
@@ -274,9 +275,9 @@ def test_open_source_leg_holds_its_weight(data_dir):
 PANDA = [f"fer_joint{i}" for i in range(1, 8)]
 
 
-def panda_motion(data_dir, folder, rate):
+def panda_motion(folder, rate):
     """The Panda's bag, or the same motion at another rate with encoder noise of 0.05 mrad."""
-    source = data_dir / "panda_unisa_ros2bag"
+    source = RECORDINGS / "panda"
     urdf, names = source / "panda_nohand.urdf", enumerate(PANDA, 1)
     rename = ", ".join(f"panda_joint{i}: {name}" for i, name in names)
     text = f"robot:\n  urdf: {urdf}\n  rename: {{{rename}}}\n"
@@ -305,9 +306,9 @@ def panda_motion(data_dir, folder, rate):
         (1000, ("position",), 8.0),
     ],
 )
-def test_zero_phase_of_a_real_robot_at_any_rate(data_dir, tmp_path, capsys, rate, fields, bound):
+def test_zero_phase_of_a_real_robot_at_any_rate(tmp_path, capsys, rate, fields, bound):
     """The command of the README; the first 0.5 s of the recording show the robot starting."""
-    t, motion, effort = panda_motion(data_dir, tmp_path, rate)
+    t, motion, effort = panda_motion(tmp_path, rate)
     if rate is not None:
         given = (*fields, "effort")
         names = ["time", *(f"{name}.{field}" for field in given for name in PANDA)]
@@ -334,12 +335,12 @@ def compensated(scene, motion, recorded, t, cutoff):
     return lag, np.array([pin.rnea(model, data, *row) for row in zip(q, v, a, strict=True)])
 
 
-def test_estimated_torques_beside_a_causal_filter_of_the_same_delay(data_dir, tmp_path):
+def test_estimated_torques_beside_a_causal_filter_of_the_same_delay(tmp_path):
     """Both against the torques of the same model by the zero-phase motion, not the measured ones.
 
     Positions count little: stamps jitter by 1.5 ms. The filter is at the cutoff of that delay.
     """
-    _, bag, _ = panda_motion(data_dir, tmp_path, None)
+    _, bag, _ = panda_motion(tmp_path, None)
     scene, recorded = mbd_ros.load_scene(tmp_path / "panda.yaml"), read_motion(bag, PANDA).motion
     t = (recorded.stamps - recorded.stamps[0]) / 1e9
     clean = scene.inverse(bag, derivatives="zero-phase")["samples"]

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from mechanisms import joint, link, urdf
+from places import RECORDINGS
 
 import mbd_ros as mbd
 from mbd_ros import read_result
@@ -294,9 +295,9 @@ def test_options_that_make_no_sense_are_refused(options, message):
 
 
 @pytest.fixture(scope="module")
-def person(data_dir):
+def person():
     """A walking person, 72.6 kg, on the soles of both feet, and what plates measured."""
-    folder = data_dir / "gait10dof_walk"
+    folder = RECORDINGS / "gait10dof/walk"
     walk = mbd.load_scene(folder / "scene.yaml")
     sole = [[x, -0.01, z] for x in (-0.02, 0.2) for z in (0.03, -0.03)]
     floor = {"half_space": [0.0, 1.0, 0.0], "xyz": [0.0, 0.033, 0.0]}

@@ -8,7 +8,7 @@ import pytest
 from inverse_dynamics_streams import motion, offline, play
 from nodes.joint_stream import ACTIVE, DEEP, SCENES, TARGET, WrenchStream, live
 from nodes.node_process import NodeProcess
-from places import ROOT
+from places import RECORDINGS, ROOT
 from rcl_interfaces.srv import GetParameters
 from sensor_msgs.msg import JointState
 
@@ -56,9 +56,9 @@ def test_live_estimate_is_the_offline_one_whatever_the_order_of_the_names(arm, w
             np.testing.assert_allclose(live_values, offline_values, rtol=0, atol=1e-12)
 
 
-def test_mimic_joints_absent_present_and_shuffled(data_dir, domain, tmp_path):
+def test_mimic_joints_absent_present_and_shuffled(domain, tmp_path):
     """The prosthetic hand: ten joints of which four follow another."""
-    urdf = data_dir / "models" / "psyonic_ability_hand_right_large.urdf"
+    urdf = RECORDINGS / "psyonic_hand/psyonic_ability_hand_right_large.urdf"
     scene = tmp_path / "hand.yaml"
     scene.write_text(f"robot: {{urdf: {urdf}}}\n")
     (folder := tmp_path / "node").mkdir()

@@ -13,7 +13,7 @@ from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.node_process import NodeProcess
 from nodes.probe import Probe
 from nodes.simulation_client import DEEP
-from places import ROOT
+from places import RECORDINGS, ROOT
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from rosgraph_msgs.msg import Clock
@@ -280,8 +280,8 @@ def test_each_knee_joint_of_the_four_bar_is_reconstructed_on_its_branch(domain, 
         assert list(force.name) == [*rows, *(f"{name}.limit" for name in stream.joints)]
 
 
-def test_a_real_bag_passes_with_the_knee_slides_reconstructed(domain, tmp_path, data_dir):
-    folder = data_dir / "gait10dof_walk"
+def test_a_real_bag_passes_with_the_knee_slides_reconstructed(domain, tmp_path):
+    folder = RECORDINGS / "gait10dof/walk"
     topics = {"/joint_states": "sensor_msgs/msg/JointState"}
     recorded = list(raw_messages(folder / "bag", topics))
     assert len(recorded) == 500

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from deadline import DEADLINE
 from mechanisms import floating_body
-from places import ROOT
+from places import RECORDINGS, ROOT
 
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.bags.bag_reader import messages, topic_types
@@ -74,9 +74,9 @@ def slow_motion(count):
     return 0.1 * np.sin(np.arange(count)[:, None] * 0.02 + np.arange(7))
 
 
-def panda_scene(data_dir, folder):
+def panda_scene(folder):
     """The Panda whose bag calls its joints fer_joint1..7."""
-    urdf = data_dir / "panda_unisa_ros2bag" / "panda_nohand.urdf"
+    urdf = RECORDINGS / "panda" / "panda_nohand.urdf"
     names = ", ".join(f"panda_joint{i}: fer_joint{i}" for i in range(1, 8))
     path = folder / "panda.yaml"
     path.write_text(f"robot:\n  urdf: {urdf}\n  rename: {{{names}}}\n")
@@ -91,9 +91,9 @@ def overall(text):
 # ---------------------------------------------------------------------- real recordings
 
 
-def test_the_live_node_equals_the_offline_causal_result(data_dir, tmp_path):
+def test_the_live_node_equals_the_offline_causal_result(tmp_path):
     """Walking with sliding knees and two force plates, sample by sample."""
-    gait = data_dir / "gait10dof_walk"
+    gait = RECORDINGS / "gait10dof/walk"
     text = mbd_ros(
         "replay", gait / "bag", gait / "scene.yaml", "-o", tmp_path / "live", "--rate", 0
     )
@@ -111,10 +111,10 @@ def test_the_live_node_equals_the_offline_causal_result(data_dir, tmp_path):
 
 
 @pytest.mark.parametrize("name", ["bag", "panda_exciting_trajectory.db3"])
-def test_a_real_panda_whose_joints_the_scene_renames(data_dir, tmp_path, name):
+def test_a_real_panda_whose_joints_the_scene_renames(tmp_path, name):
     """4.65 % is what inverse dynamics without lag gives on this recording; 5.5 % accepted."""
-    bag = data_dir / "panda_unisa_ros2bag" / name
-    scene = panda_scene(data_dir, tmp_path)
+    bag = RECORDINGS / "panda" / name
+    scene = panda_scene(tmp_path)
     text = mbd_ros("replay", bag, scene, "-o", tmp_path / "out", "--rate", 0)
     assert "727 joint states played, 727 answered, 0 lost" in text
     assert 3.0 < overall(text) <= 5.5
@@ -122,8 +122,8 @@ def test_a_real_panda_whose_joints_the_scene_renames(data_dir, tmp_path, name):
     assert len(recorded(tmp_path / "out", TORQUES)[0]) == 727
 
 
-def test_another_reference_topic_and_the_pace_of_the_bag(data_dir, tmp_path):
-    arm = data_dir / "arm26_elbow"
+def test_another_reference_topic_and_the_pace_of_the_bag(tmp_path):
+    arm = RECORDINGS / "arm26/elbow"
     begin = time.monotonic()
     text = mbd_ros(
         *("replay", arm / "bag", arm / "scene.yaml", "-o", tmp_path / "out.mcap"),
@@ -161,30 +161,30 @@ def test_lost_messages_give_exit_code_1_and_no_endless_wait(tmp_path):
     assert "joint_states: position NaN or infinite" in text
 
 
-def bad_topic(data_dir, folder):
-    bag = data_dir / "panda_unisa_ros2bag" / "bag"
+def bad_topic(folder):
+    bag = RECORDINGS / "panda" / "bag"
     return [
         bag,
-        panda_scene(data_dir, folder),
+        panda_scene(folder),
         "--topic",
         "/nope",
     ], "no topic /nope; there are: /joint_states"
 
 
-def cut_file(data_dir, folder):
+def cut_file(folder):
     bag = folder / "cut.mcap"
-    bag.write_bytes((data_dir / "panda_unisa_ros2bag" / "bag" / "bag.mcap").read_bytes()[:20000])
-    return [bag, panda_scene(data_dir, folder)], "cut.mcap: truncated, corrupt or not readable"
+    bag.write_bytes((RECORDINGS / "panda" / "bag" / "bag.mcap").read_bytes()[:20000])
+    return [bag, panda_scene(folder)], "cut.mcap: truncated, corrupt or not readable"
 
 
-def unreadable_message(data_dir, folder):
+def unreadable_message(folder):
     with BagWriter(folder / "bag") as bag:
         for i in range(3):
             bag.write("/joint_states", JOINT_STATE, i, b"\0\1\0\0" + struct.pack("<I", 2**31) * 9)
     return [folder / "bag", ARM7], "topic /joint_states: unreadable message"
 
 
-def nothing_to_answer(data_dir, folder):
+def nothing_to_answer(folder):
     bag = record(folder / "bag", np.full((30, 7), np.nan))
     return [bag, ARM7, "--rate", 0], (
         "none of 30 joint states was answered: no joint state answered yet on /joint_states; "
@@ -192,29 +192,29 @@ def nothing_to_answer(data_dir, folder):
     )
 
 
-def floating_base(data_dir, folder):
+def floating_base(folder):
     bag = record(folder / "bag", slow_motion(30))
     urdf = ROOT / "config" / "robots" / "arm7.urdf"
     (folder / "scene.yaml").write_text(f"robot: {{urdf: {urdf}, base: floating}}\n")
     return [bag, folder / "scene.yaml"], "no topic /odometry; there are: /joint_states"
 
 
-def bad_cutoff(data_dir, folder):
+def bad_cutoff(folder):
     bag = record(folder / "bag", slow_motion(30))
     return [bag, ARM7, "--cutoff", 0], "the node did not start: parameter 'cutoff' is 0.0"
 
 
-def bad_rate(data_dir, folder):
+def bad_rate(folder):
     bag = record(folder / "bag", slow_motion(30))
     return [bag, ARM7, "--rate", -1], "rate -1 must be finite and >= 0"
 
 
-def table_as_output(data_dir, folder):
+def table_as_output(folder):
     bag = record(folder / "bag", slow_motion(30))
     return [bag, ARM7, "-o", folder / "out.csv"], "is no bag, expected a folder, .mcap or .db3"
 
 
-def output_over_the_input(data_dir, folder):
+def output_over_the_input(folder):
     bag = record(folder / "bag", slow_motion(30))
     return [bag, ARM7, "-o", bag], "the output would replace the bag that is played"
 
@@ -243,11 +243,11 @@ def _with_fuse(folder, kind):
     return [record(folder / "bag", slow_motion(900)), scene, "--allow-code"]
 
 
-def node_that_crashes(data_dir, folder):
+def node_that_crashes(folder):
     return _with_fuse(folder, "bug"), "ValueError('a bug')"
 
 
-def node_that_deactivates(data_dir, folder):
+def node_that_deactivates(folder):
     return _with_fuse(folder, "gone"), "the node is inactive: the fuse is gone"
 
 
@@ -268,11 +268,9 @@ def node_that_deactivates(data_dir, folder):
     ],
     ids=lambda case: case.__name__,
 )
-def test_bad_input_gives_exit_code_2_its_reason_and_leaves_nothing(
-    case, data_dir, tmp_path, monkeypatch
-):
+def test_bad_input_gives_exit_code_2_its_reason_and_leaves_nothing(case, tmp_path, monkeypatch):
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
-    words, reason = case(data_dir, tmp_path)
+    words, reason = case(tmp_path)
     before = sorted(tmp_path.rglob("*"))
     if "-o" not in words:
         words = [*words, "-o", tmp_path / "out"]

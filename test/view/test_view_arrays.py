@@ -5,6 +5,7 @@ import io
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import RECORDINGS
 
 from mbd_ros.api import load_scene, scene_from
 from mbd_ros.features.simulation.job import simulate
@@ -117,12 +118,12 @@ def test_every_embedded_scene_shows_its_start(name):
 @pytest.mark.parametrize(
     ("file", "links"),
     [
-        ("models/psyonic_ability_hand_right_large.urdf", 11),
-        ("panda_unisa_ros2bag/panda_nohand.urdf", 8),
+        ("psyonic_hand/psyonic_ability_hand_right_large.urdf", 11),
+        ("panda/panda_nohand.urdf", 8),
     ],
 )
-def test_robots_whose_meshes_are_not_here_show_as_bones(data_dir, file, links):
-    scene = scene_from({"robot": {"urdf": str(data_dir / file)}})
+def test_robots_whose_meshes_are_not_here_show_as_bones(file, links):
+    scene = scene_from({"robot": {"urdf": str(RECORDINGS / file)}})
     solids, lacking = solids_of(scene.robot)
     assert len({s.link for s in solids}) >= links
     assert len(lacking) == len(set(lacking)) and all("drawn as a bone" in line for line in lacking)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from places import ROOT
+from places import RECORDINGS, ROOT
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
@@ -15,24 +15,22 @@ from mbd_ros.cli import main
 PAGE = ROOT / "docs/laboratory.md"
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 QUOTED = re.compile(r"^    (?!ros2|  )(.+)$", re.MULTILINE)
-FILES = {  # of the page -> of the data; the trial has no static one, and its model is scaled
-    "generic.osim": "gait10dof_marker_ik/raw/subject01.osim",
-    "subject.osim": "gait10dof_marker_ik/raw/subject01.osim",
-    "static.trc": "gait10dof_marker_ik/raw/subject01_walk.trc",
-    "walk.trc": "gait10dof_marker_ik/raw/subject01_walk.trc",
-    "ik_setup.xml": "gait10dof_marker_ik/raw/walk_Setup_IK.xml",
-    "grf.xml": "gait10dof18musc_muscles/raw/subject01_walk_grf.xml",
-    "subject01_walk_grf.mot": "gait10dof18musc_muscles/raw/subject01_walk_grf.mot",
-    "reserves.xml": "gait10dof18musc_muscles/raw/gait10dof_Reserve_Actuators.xml",
+FILES = {  # of the page -> of the recording; the trial has no static one, and its model is scaled
+    "generic.osim": "marker_ik/raw/subject01.osim",
+    "subject.osim": "marker_ik/raw/subject01.osim",
+    "static.trc": "marker_ik/raw/subject01_walk.trc",
+    "walk.trc": "marker_ik/raw/subject01_walk.trc",
+    "ik_setup.xml": "marker_ik/raw/walk_Setup_IK.xml",
+    "grf.xml": "muscles/raw/subject01_walk_grf.xml",
+    "subject01_walk_grf.mot": "muscles/raw/subject01_walk_grf.mot",
+    "reserves.xml": "muscles/raw/gait10dof_Reserve_Actuators.xml",
 }
 
 
 @pytest.fixture
-def laboratory(data_dir, tmp_path, monkeypatch):
+def laboratory(tmp_path, monkeypatch):
     """A working folder with the files that the page names."""
-    sources = {name: data_dir / "opensim" / f"{path}.gz" for name, path in FILES.items()}
-    if lost := [path.name for path in sources.values() if not path.is_file()]:
-        pytest.skip(f"no {lost[0]} among the recorded data")
+    sources = {name: RECORDINGS / "gait10dof" / f"{path}.gz" for name, path in FILES.items()}
     for name, path in sources.items():
         (tmp_path / name).write_bytes(gzip.decompress(path.read_bytes()))
     monkeypatch.chdir(tmp_path)
@@ -43,7 +41,7 @@ def blocks():
     return BLOCK.findall(PAGE.read_text(encoding="utf-8"))
 
 
-def test_the_commands_of_the_page(laboratory, data_dir, capsys):
+def test_the_commands_of_the_page(laboratory, capsys):
     """They say what is quoted; the knee is loaded as OpenSim's JointReaction finds it."""
     for kind, block in blocks():
         if kind == "yaml":
@@ -56,7 +54,7 @@ def test_the_commands_of_the_page(laboratory, data_dir, capsys):
     # Residuals of the optimum are rounding.
     assert [q for q in quoted if "largest residual" not in q and q not in said] == []
     load = mbd.read_result("forces.sto")["samples"]["tibia_r.load.force_y"]
-    with gzip.open(data_dir / "opensim/gait10dof18musc_muscles/joint_reactions.csv.gz") as file:
+    with gzip.open(RECORDINGS / "gait10dof/muscles/joint_reactions.csv.gz") as file:
         found = np.genfromtxt(file, delimiter=",", names=True)
     peak = found["knee_r_on_tibia_r_in_tibia_r_fy"].min()
     assert load.min() == pytest.approx(peak, rel=0.01)  # of other kinematics and another filter

@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 import mbd_ros as mbd
 from mbd_ros.core.kinematics.kinematics import Kinematics
@@ -16,8 +17,9 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.scene.runs.path_search import state_paths
 
-ARM26, GAIT = "arm26_muscles", "gait10dof18musc_muscles"
-MODELS = {ARM26: "raw/arm26.osim.gz", GAIT: "raw/subject01.osim.gz"}
+ARM26 = RECORDINGS / "arm26/muscles/raw/arm26.osim.gz"
+GAIT = RECORDINGS / "gait10dof/muscles/raw/subject01.osim.gz"
+TEST_MODELS = "opensim/moment_arm_test_models"
 TIMES = ("time", "case")
 SMALL = (
     "MovingPathPointMomentArmTest",
@@ -68,12 +70,11 @@ def compare(result, lengths, arms, speeds):
 
 
 @pytest.mark.parametrize("which", ["motion", "random50"])
-@pytest.mark.parametrize("name", MODELS)
-def test_straight_paths_are_those_of_opensim(data_dir, name, which):
+@pytest.mark.parametrize("model", [ARM26, GAIT], ids=["arm26", "gait10dof"])
+def test_straight_paths_are_those_of_opensim(model, which):
     """All muscles; 12 digits of 0.5 m are in the files."""
-    folder = data_dir / "opensim" / name
-    scene = straight(mbd.load_scene(folder / MODELS[name]))
-    prefix = "no_wrap_" if name == ARM26 else ""
+    folder, scene = model.parents[1], straight(mbd.load_scene(model))
+    prefix = "no_wrap_" if model == ARM26 else ""
     start = "" if which == "motion" else "random50_"
     asked = "motion" if which == "motion" else f"{prefix}random50_coordinates"
     result = scene.moment_arms(motion(table(folder / f"{asked}.csv.gz")))
@@ -86,7 +87,7 @@ def test_straight_paths_are_those_of_opensim(data_dir, name, which):
 @pytest.mark.parametrize("name", SMALL)
 def test_moving_points_are_those_of_opensim(data_dir, name):
     """Arms are -dl/dq; OpenSim leaves out lines of one body, of which there are none here."""
-    folder = data_dir / "opensim" / "moment_arm_test_models" / name
+    folder = data_dir / TEST_MODELS / name
     scene = mbd.load_scene(folder / f"{name}_40600.osim.gz")  # the numbers OpenSim took
     result = scene.moment_arms(motion(table(folder / "random50_coordinates.csv.gz")))
     lengths = table(folder / "random50_lengths.csv.gz")
@@ -94,9 +95,9 @@ def test_moving_points_are_those_of_opensim(data_dir, name):
     assert max(compare(result, lengths, arms, False)) <= 1e-12
 
 
-def test_samples_are_those_of_the_paths_one_by_one(data_dir):
+def test_samples_are_those_of_the_paths_one_by_one():
     """With wraps; -G' J by the coupling Jacobian."""
-    scene = mbd.load_scene(data_dir / "opensim" / ARM26 / MODELS[ARM26])
+    scene = mbd.load_scene(ARM26)
     rng = np.random.default_rng(4)
     y, w = rng.uniform(0.0, 2.0, (12, 2)), rng.normal(size=(12, 2))
     found = PathBatch(scene.robot, scene.couplings, scene.parts["paths"]).evaluate(y, w)
@@ -132,24 +133,24 @@ def native_and_one_by_one(scene):
     return off
 
 
-@pytest.mark.parametrize("name", ["muscle_leg", *SMALL, GAIT])
-def test_native_paths_are_those_one_by_one(data_dir, name):
+@pytest.mark.parametrize("model", ["muscle_leg", GAIT], ids=["muscle_leg", "gait10dof"])
+def test_native_paths_are_those_one_by_one(model):
     """Conditional and moving points, coupled joints; arms are some 0.1 m."""
-    folder = data_dir / "opensim" / "moment_arm_test_models" / name
-    file = folder / f"{name}_40600.osim.gz" if name in SMALL else name
-    if name == GAIT:
-        file = data_dir / "opensim" / GAIT / MODELS[GAIT]
-    assert native_and_one_by_one(mbd.load_scene(file)) <= 1e-14
+    assert native_and_one_by_one(mbd.load_scene(model)) <= 1e-14
 
 
-@pytest.mark.parametrize("name", [ARM26, "WrapPathCustomJointMomentArmTest"])
-def test_native_paths_over_surfaces_are_those_one_by_one(data_dir, name):
+def test_native_paths_over_surfaces_are_those_one_by_one():
     """Searches end at 1e-13 of the sines at contacts, in numpy too."""
-    folder = data_dir / "opensim" / "moment_arm_test_models" / name
-    file = folder / f"{name}_40600.osim.gz"
-    if name == ARM26:
-        file = data_dir / "opensim" / ARM26 / MODELS[ARM26]
-    assert native_and_one_by_one(mbd.load_scene(file)) <= 1e-12
+    assert native_and_one_by_one(mbd.load_scene(ARM26)) <= 1e-12
+
+
+@pytest.mark.parametrize(
+    ("name", "bound"),
+    [*((name, 1e-14) for name in SMALL), ("WrapPathCustomJointMomentArmTest", 1e-12)],
+)
+def test_native_paths_of_small_models_are_those_one_by_one(data_dir, name, bound):
+    file = data_dir / TEST_MODELS / name / f"{name}_40600.osim.gz"
+    assert native_and_one_by_one(mbd.load_scene(file)) <= bound
 
 
 def test_paths_are_not_native_without_a_compiler(monkeypatch):
@@ -160,9 +161,9 @@ def test_paths_are_not_native_without_a_compiler(monkeypatch):
     assert state_paths(robot, data, scene.couplings, paths, len(paths)) is None
 
 
-def test_dependent_joints_move_along(data_dir):
+def test_dependent_joints_move_along():
     """Arms by differences of lengths along the independent coordinates alone."""
-    scene = mbd.load_scene(data_dir / "opensim" / GAIT / MODELS[GAIT])
+    scene = mbd.load_scene(GAIT)
     batch = PathBatch(scene.robot, scene.couplings, scene.parts["paths"])
     y, h = np.full((1, 10), -0.3), 1e-4
     steps = np.concatenate([y + s * h * np.eye(10) for s in (-2, -1, 1, 2)])
@@ -176,10 +177,9 @@ def test_a_scene_without_paths_is_refused():
         mbd.load_scene("arm7").moment_arms(motion({"time": np.zeros(2)}))
 
 
-def test_the_command_writes_a_table(data_dir, tmp_path):
-    folder = data_dir / "opensim" / ARM26
+def test_the_command_writes_a_table(tmp_path):
     out = tmp_path / "arms.csv"
-    words = [folder / MODELS[ARM26], folder / "motion.csv.gz", "-o", out]
+    words = [ARM26, ARM26.parents[1] / "motion.csv.gz", "-o", out]
     done = subprocess.run(
         [sys.executable, "-m", "mbd_ros", "moment-arms", *map(str, words)],
         capture_output=True,

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import RECORDINGS
 from scipy.integrate import quad, solve_ivp
 from wrapping import POINTS, WRAPS, swing
 
@@ -271,47 +272,47 @@ def lengths(scene, positions):
     return {name.removesuffix("_path"): np.array(row) for name, row in found.items()}
 
 
-KNEE = "moment_arm_test_models/WrapPathCustomJointMomentArmTest/"
-SETS = {
-    "arm26_motion": ("arm26_muscles/raw/arm26", "arm26_muscles/motion", "arm26_muscles/lengths"),
-    "arm26_random": (
-        "arm26_muscles/raw/arm26",
-        "arm26_muscles/random50_coordinates",
-        "arm26_muscles/random50_lengths",
-    ),
-    "knee_random": (
-        KNEE + "WrapPathCustomJointMomentArmTest",
-        KNEE + "random50_coordinates",
-        KNEE + "random50_lengths",
-    ),
-}
+KNEE = "WrapPathCustomJointMomentArmTest"
+RANDOM = ("random50_coordinates", "random50_lengths")
 
 
-@pytest.mark.parametrize("name", SETS)
-def test_lengths_are_those_of_opensim(data_dir, name):
+def lengths_beyond(model, folder, poses, expected):
+    """By how much OpenSim's path of each muscle is longer, pose by pose."""
+    scene = mbd.load_scene(model)
+    rows, measured = table(folder / f"{poses}.csv.gz"), table(folder / f"{expected}.csv.gz")
+    independent = scene.couplings.independent
+    named = {n.removesuffix(".position"): row for n, row in rows.items()}
+    positions = {n: row for n, row in named.items() if n in independent}
+    found = lengths(scene, positions)
+    return {muscle: measured[f"{muscle}.length"] - row for muscle, row in found.items()}
+
+
+def assert_close(past):
+    assert past.min() > -1e-5  # chords of 1 mm
+    assert np.sort(past)[-2] < 1e-4
+    assert past.max() < 1.2e-4
+
+
+@pytest.mark.parametrize("files", [("motion", "lengths"), RANDOM], ids=["motion", "random"])
+def test_lengths_are_those_of_opensim(files):
     """Within 0.1 mm, mostly shorter: OpenSim leaves tangents and geodesics somewhat.
 
     Where random poses bring TRIlong over a cylinder and an ellipsoid at once, OpenSim's arcs and
     lines end at different points, mm apart; these poses are left out. One pose of
     BIClong is 0.114 mm above the geodesic.
     """
-    model, poses, expected = (data_dir / "opensim" / one for one in SETS[name])
-    scene = mbd.load_scene(f"{model}.osim.gz")
-    rows = table(f"{poses}.csv.gz")
-    positions = {
-        n.removesuffix(".position"): row
-        for n, row in rows.items()
-        if n.removesuffix(".position") in scene.couplings.independent
-    }
-    measured = table(f"{expected}.csv.gz")
-    for muscle, found in lengths(scene, positions).items():
-        past = measured[f"{muscle}.length"] - found
-        if name == "arm26_random" and muscle == "TRIlong":
+    folder = RECORDINGS / "arm26/muscles"
+    for muscle, past in lengths_beyond(folder / "raw/arm26.osim.gz", folder, *files).items():
+        if files == RANDOM and muscle == "TRIlong":
             past = past[np.abs(past) < 1e-4]
             assert len(past) == 29
-        assert past.min() > -1e-5  # chords of 1 mm
-        assert np.sort(past)[-2] < 1e-4
-        assert past.max() < 1.2e-4
+        assert_close(past)
+
+
+def test_lengths_over_a_knee_are_those_of_opensim(data_dir):
+    folder = data_dir / "opensim/moment_arm_test_models" / KNEE
+    for past in lengths_beyond(folder / f"{KNEE}.osim.gz", folder, *RANDOM).values():
+        assert_close(past)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 from muscle_arm import SCENE, URDF, motion
+from places import RECORDINGS
 from scipy.interpolate import CubicSpline
 
 from mbd_ros import read_result, scene_from
@@ -284,12 +285,12 @@ class Laboratory(NamedTuple):
     folder: Path  # of what OpenSim gives
 
 
-@pytest.fixture(params=["gait10dof18musc_muscles", "arm26_muscles"])
-def trial(request, data_dir, tmp_path):
-    folder = data_dir / "opensim" / request.param
+@pytest.fixture(params=["gait10dof", "arm26"])
+def trial(request, tmp_path):
+    folder = RECORDINGS / request.param / "muscles"
     for packed in (folder / "raw").glob("*.gz"):
         (tmp_path / packed.stem).write_bytes(gzip.decompress(packed.read_bytes()))
-    walk = request.param.startswith("gait")
+    walk = request.param == "gait10dof"
     model = tmp_path / ("subject01.osim" if walk else "arm26.osim")
     motion = tmp_path / ("subject01_walk_IK.mot" if walk else "arm26_InverseKinematics.mot")
     return Laboratory(model, motion, [tmp_path / "subject01_walk_grf.xml"] * walk, folder)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from places import ROOT
+from places import RECORDINGS, ROOT
 from scipy.integrate import simpson
 from simulator_plant import plant
 
@@ -138,9 +138,9 @@ OPENSIM = {  # OpenSim 4.6, Manager at accuracy 1e-11, after 1 s from activation
 
 
 @pytest.mark.parametrize("solver", ["plain", "compiled"])
-def test_arm26_without_wraps_moves_as_in_opensim(data_dir, tmp_path, solver):
+def test_arm26_without_wraps_moves_as_in_opensim(tmp_path, solver):
     """A second of six muscles with elastic tendons; both are exact to some 1e-8."""
-    packed = data_dir / "opensim/arm26_muscles/raw/arm26.osim.gz"
+    packed = RECORDINGS / "arm26/muscles/raw/arm26.osim.gz"
     text = gzip.decompress(packed.read_bytes()).decode()
     bare = re.sub(r"<PathWrapSet.*?</PathWrapSet>", "<PathWrapSet/>", text, flags=re.DOTALL)
     (tmp_path / "arm26.osim").write_text(bare, encoding="utf-8")

@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 from opensim_muscles import ANY_PATH, at_times, columns, muscles
+from places import RECORDINGS
 
 from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.core.muscles.rigid_tendons import RigidTendons
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.from_python import scene_from
 
-SETS = ("arm26_muscles", "gait10dof18musc_muscles")
+SETS = ("arm26/muscles", "gait10dof/muscles")
 LEVELS = {"0.05": 0.05, "0.5": 0.5, "1": 1.0}
 DIGITS = 1e-9  # of what a table with ten digits says
 SIZES = {"max_isometric_force": 600.0, "optimal_fiber_length": 0.1, "tendon_slack_length": 0.2}
@@ -29,8 +30,8 @@ def moved(folder, table):
 
 
 @pytest.mark.parametrize("prefix", ["", "no_wrap_"])
-def test_rigid_forces_of_thelen_are_those_of_opensim(data_dir, prefix):
-    folder = data_dir / "opensim" / SETS[0]
+def test_rigid_forces_of_thelen_are_those_of_opensim(prefix):
+    folder = RECORDINGS / SETS[0]
     said = columns(folder / f"{prefix}rigid_tendon.csv.gz")
     paths = at_times(columns(folder / f"{prefix}lengths.csv.gz"), said["time"])
     for part in muscles(folder, tendon="rigid"):
@@ -46,9 +47,9 @@ def test_rigid_forces_of_thelen_are_those_of_opensim(data_dir, prefix):
         assert part.fiber_length(length) == pytest.approx(said[f"{name}.fiber_length"], rel=DIGITS)
 
 
-def test_rigid_forces_of_millard_are_those_of_opensim(data_dir):
+def test_rigid_forces_of_millard_are_those_of_opensim():
     """OpenSim's own rigid mode; its `calcInextensibleTendonActiveFiberForce` is wrong."""
-    folder = data_dir / "opensim" / SETS[1]
+    folder = RECORDINGS / SETS[1]
     said, paths = moved(folder, "rigid_tendon_millard_mode.csv.gz")
     for part in muscles(folder, tendon="rigid"):
         name = part.name
@@ -66,9 +67,9 @@ def test_rigid_forces_of_millard_are_those_of_opensim(data_dir):
 
 
 @pytest.mark.parametrize("name", SETS)
-def test_static_fibres_beside_elastic_tendons_are_those_of_opensim(data_dir, name):
+def test_static_fibres_beside_elastic_tendons_are_those_of_opensim(name):
     """Force within 1e-4 N; OpenSim stops within some 1e-8 m/s of rest."""
-    folder = data_dir / "opensim" / name
+    folder = RECORDINGS / name
     said, paths = moved(folder, "elastic_static.csv.gz")
     for part in muscles(folder):
         length, law = paths[f"{part.name}.length"], part.contraction
@@ -81,9 +82,9 @@ def test_static_fibres_beside_elastic_tendons_are_those_of_opensim(data_dir, nam
 
 
 @pytest.mark.parametrize("name", SETS)
-def test_velocity_of_given_fibres_is_that_of_opensim(data_dir, name):
+def test_velocity_of_given_fibres_is_that_of_opensim(name):
     """Within 1e-8 of the largest speed; fibre lengths have ten digits, an entry is missing."""
-    folder = data_dir / "opensim" / name
+    folder = RECORDINGS / name
     said, paths = moved(folder, "elastic_moving.csv.gz")
     compared = 0
     for part in muscles(folder):

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 from mbd_ros.api import load_scene
 from mbd_ros.cli import main
@@ -11,19 +12,19 @@ from mbd_ros.features.identification.job import identify
 pytest.importorskip("clarabel", reason="clarabel is optional (extra: identification)")
 PANDA = "rename: {" + ", ".join(f"panda_joint{i}: fer_joint{i}" for i in range(1, 8)) + "}"
 ARMS = {
-    "panda_unisa_ros2bag": ("panda_nohand.urdf", PANDA, 2.8, 2.8),
-    "ur10_unisa_ros2bag": ("ur10_robot.urdf", "base: fixed", 8.3, 8.3),  # the authors' own model
+    "panda": ("panda_nohand.urdf", PANDA, 2.8, 2.8),
+    "ur10": ("ur10_robot.urdf", "base: fixed", 8.3, 8.3),  # the authors' own model
 }
 
 
 @pytest.mark.parametrize("name", ARMS)
-def test_an_arm_that_was_not_looked_at_is_explained(data_dir, tmp_path, capsys, name):
+def test_an_arm_that_was_not_looked_at_is_explained(tmp_path, capsys, name):
     """First 60 % -> last 40 %, no option."""
     urdf, more, in_band, as_measured = ARMS[name]
     scene, out = tmp_path / "arm.yaml", tmp_path / "out"
-    text = f"robot:\n  urdf: {data_dir / name / urdf}\n  {more}\n"
+    text = f"robot:\n  urdf: {RECORDINGS / name / urdf}\n  {more}\n"
     scene.write_text(text, encoding="utf-8")
-    assert main(["identify", str(scene), str(data_dir / name / "bag"), "-o", str(out)]) == 0
+    assert main(["identify", str(scene), str(RECORDINGS / name / "bag"), "-o", str(out)]) == 0
     said = capsys.readouterr().out.split("identified ")
     assert float(said[1].split(" %")[0]) <= in_band
     assert float(said[1].split("noise ")[1].split(" %")[0]) <= as_measured
@@ -31,9 +32,9 @@ def test_an_arm_that_was_not_looked_at_is_explained(data_dir, tmp_path, capsys, 
     assert all(is_consistent(numbers) for numbers in bodies)
 
 
-def test_a_person_is_weighed_by_walking_over_plates(data_dir):
+def test_a_person_is_weighed_by_walking_over_plates():
     """No torques; the given masses are 20 % too small, the model's total is 72.6 kg."""
-    folder = data_dir / "gait10dof_walk"
+    folder = RECORDINGS / "gait10dof/walk"
     scene = load_scene(folder / "scene.yaml")
     mass = sum(inertia.mass for inertia in scene.robot.inertias().values())
     light = {

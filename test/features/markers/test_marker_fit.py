@@ -6,6 +6,7 @@ import gzip
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import RECORDINGS
 
 import mbd_ros as mbd
 from mbd_ros.core.kinematics.kinematics import Kinematics
@@ -253,12 +254,10 @@ def table(path):
     return names, np.array(rows, dtype=np.float64)
 
 
-def test_gait_is_the_exact_optimum_of_an_independent_program(data_dir):
+def test_gait_is_the_exact_optimum_of_an_independent_program():
     """151 frames of planar gait, 31 markers that miss by 29 mm: objective 1e-9, joints 1e-6."""
-    folder = data_dir / "opensim" / "gait10dof_marker_ik"
-    if not folder.is_dir():
-        pytest.skip(f"no marker data at {folder}")
-    scene = mbd.load_scene(str(data_dir / "gait10dof_walk" / "scene.yaml"))
+    folder = RECORDINGS / "gait10dof/marker_ik"
+    scene = mbd.load_scene(str(RECORDINGS / "gait10dof/walk" / "scene.yaml"))
     rows = list(csv.DictReader((folder / "model_markers.csv").open()))
     tasks = list(csv.DictReader((folder / "tasks.csv").open()))
     weights = {row["name"]: float(row["weight"]) for row in tasks if row["kind"] == "marker"}

@@ -6,6 +6,7 @@ import shutil
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
@@ -347,13 +348,9 @@ def table(path):
         ("gait10dof", "subject01", "walk_Setup_IK", "subject01_walk"),
     ],
 )
-def test_files_of_a_laboratory_give_the_exact_optimum(
-    data_dir, tmp_path, name, model, setup, markers
-):
+def test_files_of_a_laboratory_give_the_exact_optimum(tmp_path, name, model, setup, markers):
     """Objective within 1e-9 of an independent program, joints within 1e-6 rad or m."""
-    folder = data_dir / "opensim" / f"{name}_marker_ik"
-    if not folder.is_dir():
-        pytest.skip(f"no marker data at {folder}")
+    folder = RECORDINGS / name / "marker_ik"
     scene, task, recording = (
         tmp_path / name for name in (f"{model}.osim", f"{setup}.xml", f"{markers}.trc")
     )

@@ -5,6 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
@@ -176,11 +177,9 @@ def test_bad_measurements(leg):
         scaled(leg, static(unseen), ScaleTask(pairs))
 
 
-def test_a_model_of_opensim_scales_with_paths_and_muscles(data_dir, tmp_path):
+def test_a_model_of_opensim_scales_with_paths_and_muscles(tmp_path):
     """Uniformly by 1.1: places, lengths of paths and of fibres, at bent knees too."""
-    source = data_dir / "opensim" / "gait10dof_marker_ik" / "raw" / "subject01.osim.gz"
-    if not source.is_file():
-        pytest.skip(f"no model at {source}")
+    source = RECORDINGS / "gait10dof/marker_ik" / "raw" / "subject01.osim.gz"
     model = tmp_path / "subject01.osim"
     with gzip.open(source) as packed, model.open("wb") as plain:
         shutil.copyfileobj(packed, plain)

@@ -5,6 +5,7 @@ import gzip
 import numpy as np
 import pytest
 from muscle_arm import NAMES, SCENE, URDF, motion
+from places import RECORDINGS
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
@@ -243,9 +244,9 @@ def test_nothing_is_written_where_a_frame_fails(files):
     assert not out.exists()
 
 
-def test_laboratory_files_give_muscle_forces_and_knee_loads(data_dir, tmp_path):
+def test_laboratory_files_give_muscle_forces_and_knee_loads(tmp_path):
     """.osim, .mot, ground reactions and reserves as they come; filter and splines of OpenSim."""
-    folder = data_dir / "opensim" / "gait10dof18musc_muscles"
+    folder = RECORDINGS / "gait10dof/muscles"
     names = ["subject01.osim", "subject01_walk_IK.mot", "subject01_walk_grf.mot"]
     names += ["subject01_walk_grf.xml", "gait10dof_Reserve_Actuators.xml"]
     for name in names:

@@ -5,6 +5,7 @@ import gzip
 
 import numpy as np
 import pytest
+from places import RECORDINGS
 
 from mbd_ros.api import scene_from
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
@@ -78,8 +79,8 @@ class Walk:
 
 
 @pytest.fixture(scope="module")
-def walk(data_dir):
-    return Walk(data_dir / "opensim" / "gait10dof18musc_muscles")
+def walk():
+    return Walk(RECORDINGS / "gait10dof/muscles")
 
 
 @pytest.mark.parametrize("kind", ["weak", "strong"])
@@ -100,9 +101,9 @@ def test_activations_of_walking_are_the_exact_optimum(walk, kind):
 
 
 @pytest.mark.parametrize("reserves", [True, False])
-def test_activations_of_an_arm_without_wraps_are_the_exact_optimum(data_dir, reserves):
+def test_activations_of_an_arm_without_wraps_are_the_exact_optimum(reserves):
     """`arm26` with six Thelen muscles; OpenSim's moment arms are -dL/dq where nothing wraps."""
-    folder = data_dir / "opensim" / "arm26_muscles"
+    folder = RECORDINGS / "arm26/muscles"
     scene = scene_from({"robot": {"osim": str(folder / "raw" / "arm26.osim.gz")}})
     plain = {
         name: {key: given for key, given in path.items() if key != "wraps"}

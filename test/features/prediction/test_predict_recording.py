@@ -6,6 +6,7 @@ from csv import DictReader
 import numpy as np
 import pytest
 from opensim_muscles import columns
+from places import RECORDINGS
 from prediction_scenes import joint, link, mass
 
 import mbd_ros as mbd
@@ -13,7 +14,7 @@ from mbd_ros.cli import main
 from mbd_ros.errors import BAD_INPUT, OK, MbdError
 from mbd_ros.files.table import Column, Table, read_result
 
-WALK = "opensim/gait10dof18musc_muscles"
+WALK = "gait10dof/muscles"
 TASK = """
 predict:
   recording: {motion: subject01_walk_IK.mot, external: subject01_walk_grf.xml, times: [1.0, 1.4],
@@ -25,18 +26,18 @@ predict:
 
 
 @pytest.fixture(scope="module")
-def walk(data_dir, tmp_path_factory):
+def walk(tmp_path_factory):
     """A folder with the files of OpenSim as they come."""
     folder = tmp_path_factory.mktemp("walk")
-    for name in ("opensim/gait10dof18musc_muscles", "opensim/gait10dof_marker_ik"):
-        for file in (data_dir / name / "raw").glob("*.gz"):
+    for name in ("gait10dof/muscles", "gait10dof/marker_ik"):
+        for file in (RECORDINGS / name / "raw").glob("*.gz"):
             (folder / file.name.removesuffix(".gz")).write_bytes(
                 gzip.decompress(file.read_bytes())
             )
     return folder
 
 
-def test_a_recorded_walk_takes_the_torques_of_inverse_dynamics(walk, data_dir, capsys):
+def test_a_recorded_walk_takes_the_torques_of_inverse_dynamics(walk, capsys):
     """Tracked closely, with the loads of the plates: OpenSim's InverseDynamicsTool, 2 % rms."""
     (walk / "track.yaml").write_text(TASK)
     out = walk / "tracked.npz"
@@ -47,7 +48,7 @@ def test_a_recorded_walk_takes_the_torques_of_inverse_dynamics(walk, data_dir, c
     assert result.metadata["replay"] < 10.0 * result.metadata["error"] < 1.0e-3
     samples = result["samples"]
     assert samples["time"][[0, -1]] == pytest.approx([1.0, 1.4])
-    theirs = columns(data_dir / WALK / "inverse_dynamics_tool.csv.gz")
+    theirs = columns(RECORDINGS / WALK / "inverse_dynamics_tool.csv.gz")
     kept = (theirs["time"] > 1.1) & (theirs["time"] < 1.3)
     for name in [name for name in theirs if name.endswith(".effort")]:
         ours = np.interp(theirs["time"][kept], samples["time"], samples[name])
@@ -58,9 +59,9 @@ def test_a_recorded_walk_takes_the_torques_of_inverse_dynamics(walk, data_dir, c
     }
 
 
-def test_markers_are_tracked(walk, data_dir):
+def test_markers_are_tracked(walk):
     """Where marker kinematics puts the person, frame by frame; ends are left out."""
-    with (data_dir / "opensim/gait10dof_marker_ik/tasks.csv").open(encoding="utf-8") as file:
+    with (RECORDINGS / "gait10dof/marker_ik/tasks.csv").open(encoding="utf-8") as file:
         weights = {row["name"].replace(".", "_"): float(row["weight"]) for row in DictReader(file)}
     of = {f"{name}.{axis}": weight for name, weight in weights.items() for axis in "xyz"}
     scene = mbd.load_scene(str(walk / "subject01.osim"))
@@ -77,7 +78,7 @@ def test_markers_are_tracked(walk, data_dir):
             ],
         }
     )
-    theirs = columns(data_dir / "opensim/gait10dof_marker_ik/ik_exact.csv.gz")
+    theirs = columns(RECORDINGS / "gait10dof/marker_ik/ik_exact.csv.gz")
     kept = (theirs["time"] > 1.05) & (theirs["time"] < 1.25)
     for name in ("hip_flexion_r.position", "knee_angle_l.position", "pelvis_ty.position"):
         ours = np.interp(theirs["time"][kept], found["samples"]["time"], found["samples"][name])

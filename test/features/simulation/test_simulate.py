@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from places import ROOT
+from places import RECORDINGS, ROOT
 
 from mbd_ros.api import load_scene
 from mbd_ros.cli import main
@@ -470,9 +470,9 @@ def test_a_bag_begins_with_a_stamp_that_ros_takes_for_one(capsys, tmp_path):
     assert not recording.by_log_time
 
 
-def test_stored_gait_simulation_is_reproduced(data_dir, tmp_path):
+def test_stored_gait_simulation_is_reproduced(tmp_path):
     """OpenSim's forward simulation of a walking human with sliding knees, 1 kHz."""
-    folder = data_dir / "gait10dof_forward"
+    folder = RECORDINGS / "gait10dof/forward"
     motion, wrenches = folder / "motion.csv.gz", folder / "external_wrenches.csv.gz"
     words = ["simulate", folder / "scene.yaml", "-t", 0.05, "-o", tmp_path / "out.csv", "--from"]
     words += [motion, "--start", 0.5, "--efforts", motion, "--wrenches", wrenches]

@@ -9,6 +9,7 @@ from array import array
 import numpy as np
 import pytest
 import yaml
+from places import RECORDINGS
 
 from mbd_ros.errors import DataError
 from mbd_ros.files.bags.bag_reader import messages, raw_blocks, raw_messages, topic_types
@@ -179,9 +180,9 @@ def test_flipped_bits_never_raise_anything_else(tmp_path, suffix):
     assert 0 < refused < 400  # a flip inside a number cannot be noticed
 
 
-def test_damaged_compressed_bag_is_refused(tmp_path, data_dir):
+def test_damaged_compressed_bag_is_refused(tmp_path):
     """The recorded bags carry zstd chunks, which BagWriter does not write."""
-    good = (data_dir / "arm26_elbow" / "bag" / "bag.mcap").read_bytes()
+    good = (RECORDINGS / "arm26/elbow" / "bag" / "bag.mcap").read_bytes()
     path, rng, refused = tmp_path / "x.mcap", random.Random(6), 0
     for _ in range(300):
         data = bytearray(good)
@@ -355,9 +356,9 @@ def test_what_cannot_be_written_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["bag", "bag/bag.mcap", "panda_exciting_trajectory.db3"])
-def test_recorded_robot_is_read_whole(data_dir, name):
+def test_recorded_robot_is_read_whole(name):
     """The .db3 carries no type definitions."""
-    path = data_dir / "panda_unisa_ros2bag" / name
+    path = RECORDINGS / "panda" / name
     read = list(messages(path, {"/joint_states": JOINT_STATE}))
     assert len(read) == 727
     assert sorted(read[0][2].name) == [f"fer_joint{i}" for i in range(1, 8)]

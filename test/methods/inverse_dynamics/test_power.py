@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from mechanisms import joint, link, urdf
+from places import RECORDINGS
 from scipy.interpolate import CubicSpline
 
 import mbd_ros as mbd
@@ -56,8 +57,8 @@ def without_efforts(result):
 
 
 @pytest.fixture(scope="module")
-def walk(data_dir):
-    folder = data_dir / "gait10dof_walk"
+def walk():
+    folder = RECORDINGS / "gait10dof/walk"
     found = mbd.load_scene(folder / "scene.yaml").inverse(
         folder / "motion.csv.gz", wrenches=folder / "external_wrenches.csv.gz", power=True
     )
@@ -227,9 +228,9 @@ def test_power_of_contacts_and_drives():
     assert found["power.efforts"] == pytest.approx(expected, abs=1e-9)
 
 
-def test_bands_show_what_goes_through_the_thigh(data_dir, tmp_path, capsys):
+def test_bands_show_what_goes_through_the_thigh(tmp_path, capsys):
     """The picture of a walking person; a result without powers is refused by name."""
-    folder = data_dir / "gait10dof_walk"
+    folder = RECORDINGS / "gait10dof/walk"
     motion, out = folder / "motion.csv.gz", tmp_path / "walk.csv"
     loads = ["--wrenches", str(folder / "external_wrenches.csv.gz")]
     words = ["inverse", str(folder / "scene.yaml"), str(motion), *loads, "-o", str(out), "--power"]

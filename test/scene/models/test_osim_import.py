@@ -6,6 +6,7 @@ import gzip
 import numpy as np
 import pinocchio as pin
 import pytest
+from places import RECORDINGS
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
@@ -13,7 +14,7 @@ from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import State
 from mbd_ros.files.table import Column, Result, Table
 
-SETS = {"arm26_muscles": "arm26", "gait10dof18musc_muscles": "subject01"}
+SETS = {"arm26": "arm26.osim.gz", "gait10dof": "subject01.osim.gz"}
 
 
 def table(path):
@@ -42,9 +43,9 @@ def lengths(scene, positions):
 
 
 @pytest.fixture(scope="module", params=SETS)
-def measured(request, data_dir):
-    folder = data_dir / "opensim" / request.param
-    return folder, mbd.load_scene(folder / "raw" / f"{SETS[request.param]}.osim.gz")
+def measured(request):
+    folder = RECORDINGS / request.param / "muscles"
+    return folder, mbd.load_scene(folder / "raw" / SETS[request.param])
 
 
 def test_inverse_dynamics_is_that_of_opensim(measured):
@@ -75,7 +76,7 @@ def test_lengths_of_paths_without_wraps_are_those_of_opensim(measured):
         for name, path in entries.items()
     }
     scene = scene.with_(paths=plain)
-    prefix = "no_wrap_" if folder.name == "arm26_muscles" else ""
+    prefix = "no_wrap_" if folder.parent.name == "arm26" else ""
     poses = table(folder / f"{prefix}random50_coordinates.csv.gz")
     expected = table(folder / f"{prefix}random50_lengths.csv.gz")
     positions = {n.removesuffix(".position"): row for n, row in poses.items() if n != "case"}
@@ -88,7 +89,7 @@ def test_lengths_of_paths_without_wraps_are_those_of_opensim(measured):
 def test_the_written_scene_is_the_same_mechanism(measured, tmp_path, capsys):
     """Poses of links, masses and paths of both at a random pose."""
     folder, scene = measured
-    model = folder / "raw" / f"{SETS[folder.name]}.osim.gz"
+    model = folder / "raw" / SETS[folder.parent.name]
     assert main(["import-opensim", str(model), "-o", str(tmp_path / "made")]) == 0
     (written,) = (tmp_path / "made").glob("*.yaml")
     left_out = written.with_name(f"{written.stem}.left_out.txt").read_text().splitlines()
