@@ -15,6 +15,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.xml_tree import MarkupError, xml_tree
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
@@ -24,7 +25,7 @@ MAX_NAME = 255
 MAX_JOINTS = 300  # that move: a Data of Pinocchio takes 32 bytes times the cube of nv, 0.9 GB
 MAX_LINKS = 1000  # Pinocchio's URDF reader overflows the stack on chains of a few thousand
 JOINT_TYPES = ("revolute", "continuous", "prismatic", "fixed")
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+_NUMBER = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _WITHOUT_RANGE = "limit"  # 1e308 stands for no limit in many files
 _SHORTEST_AXIS = 1.0e-9
 _NUMERIC_ATTRIBUTES = {
@@ -64,12 +65,10 @@ def parse_urdf(
         raise ModelError(f"{source}: robot description is empty")
     if len(text) > MAX_CHARACTERS:
         raise ModelError(f"{source}: {len(text)} characters, accepted are {MAX_CHARACTERS}")
-    if re.search(r"<!\s*(DOCTYPE|ENTITY)", text, re.IGNORECASE):
-        raise ModelError(f"{source}: DOCTYPE and ENTITY declarations are refused")
     try:
-        robot = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, UnicodeEncodeError) as error:
-        raise ModelError(f"{source}: not well-formed XML: {error}") from error
+        robot = xml_tree(text)
+    except MarkupError as error:
+        raise ModelError(f"{source}: {error}") from error
     if robot.tag != "robot":
         raise ModelError(f"{source}: root element is <{robot.tag}>, expected <robot>")
     _check_names(robot, source)

@@ -16,6 +16,7 @@ import pinocchio as pin
 import yaml
 
 from mbd_ros.core.model.urdf import place_inertias
+from mbd_ros.core.model.xml_tree import xml_tree
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import DataError, SceneError
@@ -354,7 +355,7 @@ def description_of(scene: Scene) -> str:
     recipes = scene.robot.recipes
     if len(recipes) != 1 or recipes[0].name or recipes[0].shape:
         raise SceneError(f"{scene.name}: files are written of scenes with one robot; use Python")
-    tree = ElementTree.fromstring(recipes[0].text)
+    tree = xml_tree(recipes[0].text)
     place_inertias(tree, recipes[0].inertias or {}, recipes[0].source)
     return ElementTree.tostring(tree, encoding="unicode")
 

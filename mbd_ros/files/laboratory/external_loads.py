@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.model.xml_tree import MarkupError, decoded, xml_tree
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.laboratory.markers import GROUND
@@ -76,13 +77,13 @@ def read_external_loads(path: str | Path) -> list[ExternalLoad]:
 
 def _element(path: Path) -> ElementTree.Element:
     with reading(path) as file:
-        text = file.read(_LARGEST + 1)
-    if len(text) > _LARGEST:
+        data = file.read(_LARGEST + 1)
+    if len(data) > _LARGEST:
         raise DataError(f"{path}: more than {_LARGEST} bytes are not accepted")
     try:
-        root = ElementTree.fromstring(text)
-    except (ElementTree.ParseError, ValueError, LookupError) as error:
-        raise DataError(f"{path}: no XML, or cut ({error})") from error
+        root = xml_tree(decoded(data))
+    except MarkupError as error:
+        raise DataError(f"{path}: {error}") from error
     loads = root if root.tag == "ExternalLoads" else root.find("ExternalLoads")
     if loads is None:
         raise DataError(

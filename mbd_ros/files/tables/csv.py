@@ -22,7 +22,7 @@ from mbd_ros.files.text_file import (
     replacing,
 )
 
-NUMBER = re.compile(rb"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
+NUMBER = re.compile(rb"[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?")
 # Besides digits only the letters of "nan" pass: float() would take inf, 1_000 and foreign digits.
 CHARACTERS = b"0123456789+-.eE,\nnaN"
 BLOCK, BLOCK_CELLS = 4096, 1_000_000  # lines, and numbers, that are taken at once

@@ -5,22 +5,18 @@ Files of models are read leniently: in old encodings, and where strict readers o
 
 from __future__ import annotations
 
-import re
 import zlib
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
+from mbd_ros.core.model.xml_tree import MarkupError, decoded, xml_tree
 from mbd_ros.errors import SceneError
 from mbd_ros.gzip_file import unpacked_gzip
 from mbd_ros.regular_file import open_regular
 
 NO_PLACE = "a scene has no place for it"  # a reason to leave something out
 MAX_BYTES = 64 * 1024 * 1024
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-_DECLARATION = re.compile(r"\s*<\?xml.*?\?>", re.DOTALL)
-_SCOPE = re.compile(r"(</?[\w.-]+)::(?=[\w.-])")  # a class inside a class of C++
-_REFUSED = re.compile(r"<!\s*(DOCTYPE|ENTITY)", re.IGNORECASE)
 
 
 class Imported(NamedTuple):
@@ -76,25 +72,16 @@ def read_text(path: Path) -> str:
         raise SceneError(f"{path}: model cannot be read: {reason}") from error
     if len(data) > MAX_BYTES:
         raise SceneError(f"{path}: model has more than {MAX_BYTES} bytes")
-    try:
-        return data.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        return data.decode("latin-1")  # names of authors in old files
+    return decoded(data)
 
 
 def parse_document(text: str, source: str) -> ElementTree.Element:
     """The outermost element of a document.
 
-    Comments may hold anything, and names of elements may hold `::`, which becomes `__`.
-
     Raises:
-        SceneError: No XML; names the line.
+        SceneError: No XML that is accepted; names the line.
     """
-    if _REFUSED.search(text):
-        raise SceneError(f"{source}: DOCTYPE and ENTITY declarations are refused")
-    text = _COMMENT.sub(lambda found: "\n" * found.group().count("\n"), text)
-    text = _DECLARATION.sub(lambda found: "\n" * found.group().count("\n"), text, count=1)
     try:
-        return ElementTree.fromstring(_SCOPE.sub(r"\1__", text))
-    except (ElementTree.ParseError, UnicodeEncodeError) as error:
-        raise SceneError(f"{source}: not well-formed XML: {error}") from error
+        return xml_tree(text)
+    except MarkupError as error:
+        raise SceneError(f"{source}: {error}") from error

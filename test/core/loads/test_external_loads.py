@@ -128,7 +128,7 @@ def test_bad_xml_and_columns_are_refused(laboratory):
     data = path.parents[1] / "data" / "plate.mot"
     text, good = path.read_text(), data.read_text()
     for bad, match in (
-        (text[:-30], "no XML, or cut"),
+        (text[:-30], "not well-formed XML"),
         ("<a/>", "<a> without <ExternalLoads>"),
         (text.replace("plate_v<", "force_v<"), "force_identifier 'force_v' begins 0 columns"),
         (text.replace("plate_p<", "plate_<"), "point_identifier 'plate_' begins 9 columns"),

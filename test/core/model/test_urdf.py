@@ -83,7 +83,11 @@ def test_sound_text_is_accepted(base):
         ('<robot name="arm">', '<robot name="\ud800">', ("not well-formed XML",)),
         ('<robot name="arm">', '<robot name="\0">', ("not well-formed XML",)),
         ('<robot name="arm">', "<robot>", ("not contain a valid URDF",)),
-        ("</robot>", "<x>" * 5000 + "</x>" * 5000 + "</robot>", ("recursion",)),
+        (
+            "</robot>",
+            "<x>" * 5000 + "</x>" * 5000 + "</robot>",
+            ("elements are nested deeper than 256",),
+        ),
     ],
 )
 def test_one_wrong_thing_is_named(old, new, parts):

@@ -12,6 +12,7 @@ import yaml
 
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.points import rotation_matrix
+from mbd_ros.core.model.xml_tree import xml_tree
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError, SceneError
 from mbd_ros.features.markers.marker_kinematics import markers_of
@@ -311,7 +312,7 @@ class ScaledUrdf:
     def __init__(
         self, text: str, factors: Mapping[str, Array], mass: float | None, by_volume: bool
     ) -> None:
-        tree = ElementTree.fromstring(text)
+        tree = xml_tree(text)
         self._factors, self.stretch = dict(factors), dict[str, float]()
         self._links = {link.get("name", ""): link for link in tree.findall("link")}
         above = {_child(joint): joint for joint in tree.findall("joint")}
