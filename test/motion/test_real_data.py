@@ -301,8 +301,8 @@ def panda_motion(folder, rate):
     [
         (None, ("position", "velocity"), 5.5),
         (500, ("position", "velocity"), 6.0),
-        (1000, ("position", "velocity"), 6.0),
-        (500, ("position",), 8.0),
+        pytest.param(1000, ("position", "velocity"), 6.0, marks=pytest.mark.soak),
+        pytest.param(500, ("position",), 8.0, marks=pytest.mark.soak),
         (1000, ("position",), 8.0),
     ],
 )

@@ -15,6 +15,7 @@ from deadline import DEADLINE
 from mechanisms import floating_body
 from places import RECORDINGS, ROOT
 
+from mbd_ros.cli import main
 from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.bags.bag_reader import messages, topic_types
 from mbd_ros.files.bags.bag_types import new_message
@@ -110,7 +111,10 @@ def test_the_live_node_equals_the_offline_causal_result(tmp_path):
         np.testing.assert_allclose(live, offline, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("name", ["bag", "panda_exciting_trajectory.db3"])
+@pytest.mark.parametrize(
+    "name",
+    ["bag", pytest.param("panda_exciting_trajectory.db3", marks=pytest.mark.soak)],
+)
 def test_a_real_panda_whose_joints_the_scene_renames(tmp_path, name):
     """4.65 % is what inverse dynamics without lag gives on this recording; 5.5 % accepted."""
     bag = RECORDINGS / "panda" / name
@@ -251,37 +255,55 @@ def node_that_deactivates(folder):
     return _with_fuse(folder, "gone"), "the node is inactive: the fuse is gone"
 
 
+def with_output(words, folder):
+    return words if "-o" in words else [*words, "-o", folder / "out"]
+
+
+def files_in(folder):
+    return [path for path in sorted(folder.rglob("*")) if "__pycache__" not in path.parts]
+
+
 @pytest.mark.parametrize(
     "case",
     [
         bad_topic,
         cut_file,
         unreadable_message,
-        nothing_to_answer,
         floating_base,
-        bad_cutoff,
         bad_rate,
         table_as_output,
         output_over_the_input,
-        node_that_crashes,
-        node_that_deactivates,
     ],
     ids=lambda case: case.__name__,
 )
-def test_bad_input_gives_exit_code_2_its_reason_and_leaves_nothing(case, tmp_path, monkeypatch):
+def test_bad_input_is_refused_before_a_node_starts(case, tmp_path, capsys):
+    words, reason = case(tmp_path)
+    before = files_in(tmp_path)
+    assert main(["replay", *map(str, with_output(words, tmp_path))]) == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert last.startswith("mbd-ros replay: ")
+    assert reason in last
+    assert files_in(tmp_path) == before
+
+
+@pytest.mark.parametrize(
+    "case",
+    [nothing_to_answer, bad_cutoff, node_that_crashes, node_that_deactivates],
+    ids=lambda case: case.__name__,
+)
+def test_what_fails_in_the_node_gives_exit_code_2_its_reason_and_leaves_nothing(
+    case, tmp_path, monkeypatch
+):
     monkeypatch.setenv("PYTHONPATH", str(tmp_path))
     words, reason = case(tmp_path)
-    before = sorted(tmp_path.rglob("*"))
-    if "-o" not in words:
-        words = [*words, "-o", tmp_path / "out"]
-    line, environment = command("replay", *words)
+    before = files_in(tmp_path)
+    line, environment = command("replay", *with_output(words, tmp_path))
     ran = subprocess.run(line, env=environment, capture_output=True, text=True)
     assert ran.returncode == 2, ran.stderr
     last = ran.stderr.splitlines()[-1]
     assert last.startswith("mbd-ros replay: ")
     assert reason in last
-    left = [path for path in sorted(tmp_path.rglob("*")) if "__pycache__" not in path.parts]
-    assert left == before
+    assert files_in(tmp_path) == before
 
 
 def test_a_free_flying_robot_and_one_that_stands_are_played_topic_by_topic(tmp_path):

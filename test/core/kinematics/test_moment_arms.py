@@ -2,14 +2,13 @@
 
 import csv
 import gzip
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from places import RECORDINGS
 
 import mbd_ros as mbd
+from mbd_ros.cli import main
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.kinematics.paths.paths import PathBatch
 from mbd_ros.core.state import State
@@ -177,16 +176,11 @@ def test_a_scene_without_paths_is_refused():
         mbd.load_scene("arm7").moment_arms(motion({"time": np.zeros(2)}))
 
 
-def test_the_command_writes_a_table(tmp_path):
+def test_the_command_writes_a_table(tmp_path, capsys):
     out = tmp_path / "arms.csv"
     words = [ARM26, ARM26.parents[1] / "motion.csv.gz", "-o", out]
-    done = subprocess.run(
-        [sys.executable, "-m", "mbd_ros", "moment-arms", *map(str, words)],
-        capture_output=True,
-        text=True,
-    )
-    assert done.returncode == 0, done.stderr
-    assert "121 samples of 6 paths" in done.stdout
+    assert main(["moment-arms", *map(str, words)]) == 0
+    assert "121 samples of 6 paths" in capsys.readouterr().out
     head = out.read_text().splitlines()[0].split(",")
     assert {"BRA.length", "BRA.speed", "BRA.r_elbow_flex"} <= set(head)
     assert "BRA.r_shoulder_elev" not in head
