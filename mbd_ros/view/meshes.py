@@ -7,6 +7,7 @@ import coal
 import numpy as np
 
 from mbd_ros.errors import SceneError
+from mbd_ros.regular_file import check_regular
 from mbd_ros.view.surfaces import Surface
 
 MAX_TRIANGLES = 500_000
@@ -22,10 +23,11 @@ def mesh_surface(file: Path, scale: Sequence[float], where: str) -> Surface:
     Raises:
         SceneError: There is no such file, or it holds no mesh or too large a one.
     """
-    if not file.is_file():
-        raise SceneError(f"{where}: mesh {file} is not there")
     try:
+        check_regular(file)
         model = coal.MeshLoader().load(str(file), np.array(scale, dtype=np.float64))
+    except OSError as error:
+        raise SceneError(f"{where}: mesh {file} cannot be read: {error.strerror}") from error
     except (ValueError, RuntimeError) as error:
         raise SceneError(f"{where}: {file} holds no mesh") from error
     count = int(model.num_tris)

@@ -11,6 +11,8 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String
 
+from mbd_ros.nodes.marker_kinematics.node import MarkerKinematicsNode
+from mbd_ros.nodes.shell.process import run
 from msg_adapters.diagnostics import ERROR, OK, WARN
 
 ACTIVE = "]: active"
@@ -97,6 +99,19 @@ def test_a_bad_value_at_the_start_leaves_the_node_unconfigured(start_node, probe
     assert reason in health.message
     assert health.values["state"] == "unconfigured"
     assert node.stop() == 0
+
+
+@pytest.mark.parametrize("is_fifo", [True, False])
+def test_a_parameter_file_that_is_no_regular_file_ends_the_node(tmp_path, capsys, is_fifo):
+    """The reader of rcl would wait for the writer of a FIFO."""
+    file = tmp_path / "parameters.yaml"
+    os.mkfifo(file) if is_fifo else file.symlink_to("/dev/zero")
+    with pytest.raises(SystemExit) as ended:
+        run(MarkerKinematicsNode, ["node", "--ros-args", "--params-file", str(file)])
+    assert ended.value.code == 2
+    kind = "a FIFO" if is_fifo else "a device"
+    said = f"--params-file {file}: cannot be read (it is {kind}, not a regular file)"
+    assert said in capsys.readouterr().err
 
 
 def test_overrides_without_effect_are_warned_about(start_node):

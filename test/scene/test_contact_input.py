@@ -180,7 +180,10 @@ def test_collisions_of_a_link_are_its_shapes():
         (COLLISION.format("0 0 0", "<cone/>"), "geometry <cone>, accepted: box, sphere"),
         (COLLISION.format("0 0", '<sphere radius="1"/>'), "xyz='0 0', expected 3 finite numbers"),
         ("<collision/>", "has no geometry"),
-        (COLLISION.format("0 0 0", '<mesh filename="no.stl"/>'), "mesh no.stl is not there"),
+        (
+            COLLISION.format("0 0 0", '<mesh filename="no.stl"/>'),
+            "no.stl cannot be read: No such file",
+        ),
     ],
 )
 def test_what_is_wrong_with_a_collision_is_named(collision, words):
@@ -216,7 +219,7 @@ def test_a_mesh_that_is_not_there_or_not_convex_is_named(tmp_path):
     (tmp_path / "empty.stl").write_text("solid\n", encoding="utf-8")
     write_mesh(tmp_path / "flat.obj", CUBE * (1, 1, 0), QUADS[4:5])
     for name, words in (
-        ("none.stl", "mesh .*none.stl is not there"),
+        ("none.stl", "mesh .*none.stl cannot be read: No such file"),
         ("empty.stl", "empty.stl holds no mesh"),
         ("dented.obj", r"dented.obj: the mesh is not convex: it is bent inwards by 0\.\d+ m"),
         ("flat.obj", "flat.obj: the mesh is flat"),

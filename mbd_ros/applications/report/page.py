@@ -20,6 +20,7 @@ from mbd_ros.applications.report.items import Section, Table
 from mbd_ros.errors import DataError
 from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.workers.opening import spoken
+from mbd_ros.regular_file import open_regular
 
 # A section of the page: texts, tables, pictures, and lines to paste.
 _NUMBER = re.compile(
@@ -263,9 +264,12 @@ def put_headlines(readme: Path, folder: Path) -> Iterator[str]:
     """
     numbers = _load(folder / "report.json")
     try:
-        text = readme.read_text(encoding="utf-8")
+        with open_regular(readme) as file:
+            text = file.read().decode("utf-8")
     except OSError as error:
         raise DataError(f"{readme}: cannot be read ({error.strerror})") from error
+    except UnicodeDecodeError as error:
+        raise DataError(f"{readme}: is not UTF-8 text: {error.reason}") from error
     if len(_BETWEEN.findall(text)) != 1:
         raise DataError(f"{readme}: expected {BEGIN} and {END} once")
     lines = [BEGIN, *_made(numbers), *_tables(numbers)]
@@ -285,7 +289,8 @@ def put_headlines(readme: Path, folder: Path) -> Iterator[str]:
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        loaded: dict[str, Any] = json.loads(path.read_bytes())
+        with open_regular(path) as file:
+            loaded: dict[str, Any] = json.load(file)
     except (OSError, ValueError) as error:
         raise DataError(f"{path}: no report that can be read ({error})") from error
     return loaded

@@ -23,6 +23,7 @@ from mbd_ros.applications.report.items import Item
 from mbd_ros.errors import DataError, SceneError
 from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.workers.task import Result
+from mbd_ros.regular_file import open_regular
 from mbd_ros.scene.schema.locate import find_file
 
 VERSIONS = ("numpy", "pin", "proxsuite", "scipy", "casadi", "mujoco", "drake", "exudyn")
@@ -66,7 +67,8 @@ class Store:
         basis = _Basis(program(items.PARTS[item.kind]), named_files(item.spec))
         self._bases[item[:2]] = basis
         try:
-            stored = json.loads(self._path(item, basis, self._cpu).read_bytes())
+            with open_regular(self._path(item, basis, self._cpu)) as file:
+                stored = json.load(file)
             if item.alone and stored["cpu"] != self._cpu:
                 return None
             return Result(stored["outcome"], "", stored["took"], stored["cpu"])

@@ -157,7 +157,7 @@ def _found(path: Path, text: str) -> Path:
     words = text.replace("\\", "/")
     tried = [path.parent / words, path.parent / words.rpartition("/")[2]]
     for file in tried:
-        if file.is_file():
+        if file.exists():
             return file
     places = " and ".join(dict.fromkeys(map(str, tried)))
     raise DataError(f"{path}: data file '{text}' does not exist, looked for {places}")

@@ -9,6 +9,7 @@ from mbd_ros.errors import DataError, install_hint
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.tables.description import column_of, describe, described
 from mbd_ros.files.text_file import replacing
+from mbd_ros.regular_file import check_regular
 
 _KEY = b"mbd_ros"
 
@@ -55,6 +56,7 @@ class Parquet:
         """
         arrow, storage = self._arrow, self._storage
         try:
+            check_regular(path)
             read = storage.ParquetFile(path).read()
             text = (read.schema.metadata or {}).get(_KEY)
             if text is None:

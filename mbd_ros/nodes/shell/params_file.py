@@ -6,12 +6,12 @@ import textwrap
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import yaml
 
 from mbd_ros.nodes.shell.parameters import Parameter
+from mbd_ros.regular_file import open_regular
 
 _INDENT = "    "
 _WIDTH = 99  # characters of a line
@@ -64,6 +64,11 @@ def _written(value: object) -> str:
     return text.removesuffix("...\n").strip()
 
 
+def parameter_files(argv: Sequence[str]) -> list[str]:
+    """The files after --params-file on a command line."""
+    return [value for flag, value in pairwise(argv) if flag == "--params-file"]
+
+
 def file_warnings(argv: Sequence[str], node_name: str) -> list[str]:
     """Faults that rcl accepts in silence in the files after --params-file.
 
@@ -73,11 +78,11 @@ def file_warnings(argv: Sequence[str], node_name: str) -> list[str]:
     Returns:
         A line per duplicate key (the last one wins), and per file of which no key is this node.
     """
-    files = [value for flag, value in pairwise(argv) if flag == "--params-file"]
     lines: list[str] = []
-    for file in files:
+    for file in parameter_files(argv):
         try:
-            tree = yaml.compose(Path(file).read_text(encoding="utf-8"), Loader=yaml.SafeLoader)
+            with open_regular(file) as text:
+                tree = yaml.compose(text, Loader=yaml.SafeLoader)
         except yaml.YAMLError as error:
             lines.append(f"{file}: not checked for duplicate and unused keys: {error}")
             continue

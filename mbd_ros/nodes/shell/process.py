@@ -21,7 +21,9 @@ from rclpy.utilities import remove_ros_args
 
 from mbd_ros.errors import BAD_INPUT
 from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter
+from mbd_ros.nodes.shell.params_file import meaning, parameter_files
 from mbd_ros.nodes.shell.shell import Shell
+from mbd_ros.regular_file import check_regular
 
 _HELP = ("-h", "--help")
 _REFUSALS = (
@@ -46,6 +48,7 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
         Exception: Whatever a callback raised that is not an MbdError.
     """
     arguments = list(sys.argv if argv is None else argv)
+    _check_parameter_files(node_class.NAME, arguments)
     with _refused(node_class.NAME):
         wants_help = asks_for_help(arguments, node_class.NAME)
     if wants_help:
@@ -70,6 +73,16 @@ def _run(node_class: type[Shell], arguments: list[str], stop: _StopSignal) -> No
         while not stop.name:
             node.raise_crash()
             node.drive(executor, PATIENCE)
+
+
+def _check_parameter_files(name: str, arguments: Sequence[str]) -> None:
+    """End the process where rcl would wait for a parameter file for ever."""
+    for file in parameter_files(arguments):
+        try:
+            check_regular(file)
+        except OSError as error:
+            sys.stderr.write(f"{name}: --params-file {file}: cannot be read ({error.strerror})\n")
+            raise SystemExit(BAD_INPUT) from error
 
 
 @contextmanager
@@ -131,8 +144,6 @@ def asks_for_help(arguments: Sequence[str], name: str) -> bool:
 
 def usage(name: str, parameters: Sequence[Parameter]) -> str:
     """Text for --help: how to start the node, and every parameter with its default."""
-    from mbd_ros.nodes.shell.params_file import meaning  # here, since nodes start without it
-
     lines = [
         f"usage: ros2 run mbd_ros {name} --ros-args -p scene:=SCENE [-p NAME:=VALUE] "
         "[--params-file FILE] [-r FROM:=TO]",

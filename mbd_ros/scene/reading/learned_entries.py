@@ -8,6 +8,7 @@ from typing import Any
 from mbd_ros.core.contracts import Load
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.methods.learned import LARGEST, About, LearnedFile, check_physics, physics_of
+from mbd_ros.regular_file import open_regular
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema import schema
 from mbd_ros.scene.schema.locate import find_file
@@ -60,9 +61,7 @@ def check_models(scene: Scene) -> None:
 
 def _read(path: Path, where: str) -> LearnedFile:
     try:
-        if not path.is_file():
-            raise SceneError(f"{where}: {path} is no file")
-        with path.open("rb") as file:
+        with open_regular(path) as file:
             content = file.read(LARGEST + 1)
     except OSError as error:
         raise SceneError(f"{where}: {path} cannot be read: {error.strerror}") from error

@@ -8,6 +8,7 @@ import numpy as np
 
 from mbd_ros.core.geometry.shapes import Polyhedron, polyhedron
 from mbd_ros.errors import ModelError, SceneError
+from mbd_ros.regular_file import check_regular
 
 MAX_TRIANGLES = 5_000
 
@@ -22,10 +23,11 @@ def read_mesh(file: Path, scale: Sequence[float], where: str) -> Polyhedron:
     Raises:
         SceneError: There is no such file, it holds no mesh, or the mesh is not convex.
     """
-    if not file.is_file():
-        raise SceneError(f"{where}: mesh {file} is not there")
     try:
+        check_regular(file)
         model = coal.MeshLoader().load(str(file), np.array(scale, dtype=np.float64))
+    except OSError as error:
+        raise SceneError(f"{where}: mesh {file} cannot be read: {error.strerror}") from error
     except (ValueError, RuntimeError) as error:
         reason = str(error).strip().splitlines()[-2:]
         raise SceneError(f"{where}: {file} holds no mesh: {' '.join(reason)}") from error

@@ -114,7 +114,7 @@ def _file(include: Element, path: Path, folder: Path) -> Path:
     if not name:
         raise SceneError(f"{path}: <include> has no file")
     for file in (folder / name, path.parent / name):
-        if file.is_file():
+        if file.exists():
             return file
     raise SceneError(f"{path}: <include file='{name}'>: there is no file {folder / name}")
 
