@@ -182,6 +182,7 @@ class Names:
 
     def __init__(self, taken: Iterable[str] = ()) -> None:
         self._taken = set(taken)
+        self._numbers: dict[str, int] = {}  # the next one that a wish gets
 
     def __contains__(self, name: str) -> bool:
         return name in self._taken
@@ -192,12 +193,13 @@ class Names:
         Args:
             ending: What it gets where the wish is taken, before it gets a number.
         """
-        name, number = wish, 2
-        if name in self._taken and ending:
-            name = wish = f"{wish}_{ending}"
+        if wish in self._taken and ending:
+            wish = f"{wish}_{ending}"
+        name, number = wish, self._numbers.get(wish, 2)
         while name in self._taken:
             name, number = f"{wish}_{number}", number + 1
         self._taken.add(name)
+        self._numbers[wish] = number
         return name
 
     def part(self, wish: str, ending: str) -> str:
@@ -265,8 +267,8 @@ def joint_titles(links: Sequence[str], joints: Sequence[UrdfJoint]) -> dict[str,
 
     Pinocchio tells frames by their names alone where joints are locked.
     """
-    taken = Names([*links, *(joint.name for joint in joints)])
-    names = [joint.name for joint in joints if joint.name in set(links)]
+    taken, known = Names([*links, *(joint.name for joint in joints)]), set(links)
+    names = [joint.name for joint in joints if joint.name in known]
     return {name: taken.take(f"{name}_joint") for name in names}
 
 

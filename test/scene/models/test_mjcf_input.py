@@ -1,8 +1,11 @@
 """Broken models of MuJoCo are refused by file, element and what is wrong; odd ones are read."""
 
+import time
+
 import pytest
 
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.models.model_entry import import_model
 from mbd_ros.scene.reader import load_scene
 
 GOOD = """<mujoco><default><default class="thin"><geom size="0.01"/></default></default>
@@ -58,6 +61,14 @@ BAD = {
     ),
     "free joint inside": (GOOD.replace('"slide"', '"free"'), ("a free joint stands alone",)),
     "replicate": (GOOD.replace("<site", "<replicate/><site"), ("<replicate>", "write its bodies")),
+    "joints": (
+        GOOD.replace("<site", "<joint/>" * 1000 + "<site"),
+        ("1002 joints, accepted are 1000",),
+    ),
+    "nested classes": (
+        GOOD.replace("<default>", "<default>" + "<default class='c'>" * 300, 1),
+        ("nested deeper than 256",),
+    ),
     "missing include": (
         GOOD.replace("<default>", '<include file="z.xml"/><default>', 1),
         ("z.xml",),
@@ -114,3 +125,44 @@ def test_entries_of_a_scene_win(tmp_path):
     scene = load_scene(file)
     assert scene.parts["robot"].joints == ()
     assert any("'a' is locked" in line for line in scene.parts["robot"].ignored)
+
+
+def test_includes_inside_includes_end_somewhere(tmp_path):
+    """Each file alone is nested less than a document may be."""
+    deep = "<frame>" * 150
+    for i in range(3):
+        inner = f'<include file="{i + 1}.xml"/>' if i < 2 else ""
+        text = f"<mujoco>{deep}{inner}{deep.replace('<', '</')}</mujoco>"
+        (tmp_path / f"{i}.xml").write_text(text)
+    with pytest.raises(SceneError, match="1.xml: elements are nested deeper than 256 with incl"):
+        load_scene(tmp_path / "0.xml")
+
+
+MANY = {
+    "actuators of no name": GOOD.replace(
+        "</actuator>", "<motor joint='a'/>" * 6000 + "</actuator>"
+    ),
+    "tendons that are left out": GOOD.replace(
+        "</tendon>",
+        "".join(f"<spatial name='t{i}'><pulley/></spatial>" for i in range(3000)) + "</tendon>",
+    ).replace("</actuator>", "<motor tendon='t9'/>" * 3000 + "</actuator>"),
+    "kinds in many classes": GOOD.replace(
+        "<default>",
+        "<default>"
+        + "".join(f"<k{i} a='1'/>" for i in range(3000))
+        + "".join(f"<default class='c{i}'/>" for i in range(3000)),
+        1,
+    ),
+    "attributes of a class": GOOD.replace(
+        "<default>", "<default><site " + "".join(f"a{i}='' " for i in range(6000)) + "/>", 1
+    ).replace("<site name", "<site/>" * 3000 + "<site name"),
+}
+
+
+@pytest.mark.parametrize("kind", MANY)
+def test_many_elements_take_linear_time(tmp_path, kind):
+    """Each of these models of 100 kB took 8 s and more, or gigabytes."""
+    (tmp_path / "many.xml").write_text(MANY[kind])
+    begin = time.process_time()
+    import_model(tmp_path / "many.xml", "mjcf", {})
+    assert time.process_time() - begin < 4.0

@@ -1,6 +1,7 @@
 """Odd files of OpenSim are read; broken ones are refused by file, element and what is wrong."""
 
 import gzip
+import time
 
 import pytest
 from osim_models import (
@@ -18,6 +19,7 @@ from osim_models import (
 
 from mbd_ros.api import load_scene
 from mbd_ros.errors import SceneError
+from mbd_ros.scene.models.model_entry import import_model
 
 GOOD = chain(ConstraintSet=COUPLERS)
 BAD = {
@@ -99,6 +101,20 @@ BAD = {
         ),
         ("PathWrap 'w'", "no wrap object 'bone'"),
     ),
+    "bodies": (
+        model([body(f"b{i}") for i in range(1001)], []),
+        ("Model", "1001 bodies, accepted are 1000"),
+    ),
+    "pairs of shapes": (
+        chain(
+            ContactGeometrySet="<ContactSphere name='s'><body>a</body><radius>1</radius>"
+            "</ContactSphere><ContactHalfSpace name='h'><body>ground</body></ContactHalfSpace>",
+            ForceSet='<HuntCrossleyForce name="f"><HuntCrossleyForce::ContactParametersSet>'
+            f"<objects><P><geometry>{'s h ' * 1000}</geometry></P></objects>"
+            "</HuntCrossleyForce::ContactParametersSet></HuntCrossleyForce>",
+        ),
+        ("HuntCrossleyForce 'f'", "more than 10000 pairs of shapes are not accepted"),
+    ),
     "flag": (
         GOOD.replace('name="q1">', 'name="q1"><locked>perhaps</locked>'),
         ("Coordinate 'q1'", "<locked> is 'perhaps'", "true or false"),
@@ -150,3 +166,18 @@ def test_tags_with_colons_comments_and_packed_files_are_read(tmp_path):
     assert up == pytest.approx(
         4.0 / 3.0 * 0.04**0.5 * (0.5 * 1e6 ** (2 / 3)) ** 1.5 * 0.01**1.5, rel=1e-9
     )
+
+
+def test_many_elements_of_one_name_take_linear_time(tmp_path):
+    """20 s before: each looked at all offset frames, and at all names that were taken."""
+    frames = "".join(
+        f"<PhysicalOffsetFrame name='f{i}'><socket_parent>/bodyset/a</socket_parent>"
+        "</PhysicalOffsetFrame>"
+        for i in range(2000)
+    )
+    marker = "<Marker name='m'><socket_parent_frame>/bodyset/a</socket_parent_frame></Marker>"
+    file = tmp_path / "many.osim"
+    file.write_text(chain(components=frames, MarkerSet=marker * 3000))
+    begin = time.process_time()
+    assert len(import_model(file, "osim", {}).sections["sensors"]) == 3000
+    assert time.process_time() - begin < 4.0

@@ -110,7 +110,7 @@ def _path(reading: Reading, item: Item) -> str:
     name = item.text("tendon")
     if name in reading.titles:
         return reading.titles[name]
-    if all(one.name != name for one in reading.items("tendon")):
+    if name not in reading.tendons:
         raise item.error(f"tendon: there is no tendon '{name}'")
     raise Unexpressed(f"tendon '{name}' is left out")
 

@@ -149,7 +149,7 @@ def _tendon(reading: Reading, item: Item) -> dict[str, Any]:
     """A tendon of constant length; that of joints alone, whose length is known."""
     name = item.text("tendon1")
     if name not in reading.titles:
-        if all(one.name != name for one in reading.items("tendon")):
+        if name not in reading.tendons:
             raise item.error(f"tendon1: there is no tendon '{name}'")
         raise Unexpressed(f"tendon '{name}' is left out")
     path = reading.paths[reading.titles[name]]

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import math
+from collections import ChainMap
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 from xml.etree.ElementTree import Element
@@ -23,7 +24,7 @@ ACTUATORS = (
 )
 _MAIN = "main"
 _KINDS = {**dict.fromkeys(ACTUATORS, "general"), "fixed": "tendon", "spatial": "tendon"}
-Attributes = Mapping[str, Mapping[str, str]]
+Attributes = ChainMap[str, ChainMap[str, str]]  # kind of element -> attributes, outer classes last
 _AXES = np.eye(3)
 _TURNS = ("quat", "axisangle", "xyaxes", "zaxis", "euler")
 _NO_LENGTH = 1.0e-14
@@ -41,7 +42,7 @@ class Item:
         self, element: Element, source: str, defaults: Mapping[str, str] | None = None
     ) -> None:
         self.element, self.source = element, source
-        self._given = {**(defaults or {}), **element.attrib}
+        self._defaults = defaults or {}
 
     @property
     def type(self) -> str:
@@ -59,7 +60,7 @@ class Item:
         return SceneError(f"{self.source}: {title}: {text}")
 
     def __contains__(self, key: str) -> bool:
-        return key in self._given
+        return key in self.element.attrib or key in self._defaults
 
     def only(self, accepted: Collection[str]) -> Item:
         """This element, whose own attributes are all known.
@@ -74,7 +75,7 @@ class Item:
 
     def text(self, key: str, default: str = "") -> str:
         """An attribute as it stands."""
-        return self._given.get(key, default).strip()
+        return self.element.get(key, self._defaults.get(key, default)).strip()
 
     def choice(self, key: str, accepted: Sequence[str]) -> str:
         """A word, by default the first of those that are accepted.
@@ -158,7 +159,7 @@ class Defaults:
 
     def __init__(self, root: Element, source: str) -> None:
         self._source = source
-        self._classes: dict[str, Attributes] = {_MAIN: {}}
+        self._classes: dict[str, Attributes] = {_MAIN: ChainMap()}
         self._main = _MAIN
         for element in root.iterfind("default"):
             name = element.get("class", self._main)
@@ -186,9 +187,9 @@ class Defaults:
         return Item(element, self._source, self._classes[name].get(kind, {}))
 
     def _read(self, element: Element, name: str, outer: Attributes) -> None:
-        own = {kind: dict(given) for kind, given in outer.items()}
+        own = outer.new_child()
         for kind, given in _settings(element):
-            own[kind] = {**own.get(kind, {}), **given}
+            own[kind] = own[kind].new_child(given) if kind in own else ChainMap(given)
         self._classes[name] = own
         for inner in element.iterfind("default"):
             title = inner.get("class", "")
@@ -199,7 +200,7 @@ class Defaults:
             self._read(inner, title, own)
 
 
-def _settings(element: Element) -> Iterator[tuple[str, Mapping[str, str]]]:
+def _settings(element: Element) -> Iterator[tuple[str, dict[str, str]]]:
     for child in element:
         if child.tag != "default":
             yield _KINDS.get(child.tag, child.tag), child.attrib

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.urdf import MAX_LINKS
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.models.mjcf.bodies import WORLD, Bodies, Body, Placed
@@ -54,11 +56,12 @@ class Tree:
             self.given[bodies.all[self.base].joints[0].item.name] = []
         self._static = self._at_rest()
         own = [one.item.name for _, one in bodies.elements("joints")]
-        for name in own:
-            if name and own.count(name) > 1:
-                raise SceneError(
-                    f"{bodies.all[WORLD].item.source}: two joints are called '{name}'"
-                )
+        source = bodies.all[WORLD].item.source
+        if len(own) > MAX_LINKS:
+            raise SceneError(f"{source}: {len(own)} joints, accepted are {MAX_LINKS}")
+        for name, count in Counter(own).items():
+            if name and count > 1:
+                raise SceneError(f"{source}: two joints are called '{name}'")
         self._names = Names(name for name in own if name)
         self._links = Names(bodies.all)
         for body in bodies.all.values():
@@ -89,22 +92,17 @@ class Tree:
 
     def _free_base(self) -> str:
         """The only body of the world under which something moves, where it is free."""
-        tops = list[str]()
+        tops, carried = list[str](), set[str]()
         for body in self.bodies.all.values():
-            if body.joints and not any(self._is_above(top, body) for top in tops):
-                tops.append(body.name)
+            if body.parent in carried or body.joints:
+                tops += [] if body.parent in carried else [body.name]
+                carried.add(body.name)
         if len(tops) != 1 or len(self.bodies.all[tops[0]].joints) != 1:
             return ""
         is_free = joint_type(self.bodies.all[tops[0]].joints[0].item) == "free"
         if is_free and self.bodies.all[tops[0]].parent != WORLD:
             raise self.bodies.all[tops[0]].item.error("a free joint stands in a body of the world")
         return tops[0] if is_free else ""
-
-    def _is_above(self, top: str, body: Body) -> bool:
-        name = body.parent
-        while name and name != top:
-            name = self.bodies.all[name].parent
-        return bool(name)
 
     def _add(self, body: Body) -> None:
         names = [one.item.name or self._names.take(f"{body.name}_joint") for one in body.joints]

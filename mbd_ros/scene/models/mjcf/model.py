@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element
 
+from mbd_ros.core.model.xml_tree import MAX_DEPTH
 from mbd_ros.errors import SceneError
 from mbd_ros.scene.models.imported_model import (
     NO_PLACE,
@@ -74,7 +75,7 @@ def read_document(path: Path) -> Element:
     root = parse_document(read_text(path), str(path))
     if root.tag != "mujoco":
         raise SceneError(f"{path}: expected <mujoco>, found <{root.tag}>")
-    _include(root, path, path.parent, [path.resolve()])
+    _include(root, path, path.parent, [path.resolve()], 0)
     for section in root:
         if section.tag not in SECTIONS:
             raise SceneError(
@@ -84,17 +85,20 @@ def read_document(path: Path) -> Element:
     return root
 
 
-def _include(element: Element, path: Path, folder: Path, seen: list[Path]) -> None:
+def _include(element: Element, path: Path, folder: Path, seen: list[Path], depth: int) -> None:
     """Put the elements of included files in the places of `<include>`.
 
     Args:
         element: What may include.
         folder: That of the model, from which names of files start.
         seen: All files so far; MuJoCo takes each once.
+        depth: Elements around this one, in all files.
     """
+    if depth > MAX_DEPTH:
+        raise SceneError(f"{path}: elements are nested deeper than {MAX_DEPTH} with includes")
     for child in list(element):
         if child.tag != "include":
-            _include(child, path, folder, seen)
+            _include(child, path, folder, seen, depth + 1)
             continue
         file = _file(child, path, folder)
         if file.resolve() in seen:
@@ -103,7 +107,7 @@ def _include(element: Element, path: Path, folder: Path, seen: list[Path]) -> No
             raise SceneError(f"{path}: more than {MAX_FILES} files")
         seen.append(file.resolve())
         inner = parse_document(read_text(file), str(file))
-        _include(inner, file, folder, seen)
+        _include(inner, file, folder, seen, depth)
         at = list(element).index(child)
         element[at : at + 1] = list(inner)
 

@@ -1,6 +1,7 @@
 """What is known while the sections of a model are read."""
 
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Any
 from xml.etree.ElementTree import Element
 
@@ -49,6 +50,11 @@ class Reading:
         for holder in self._root.iterfind(section):
             for element in holder:
                 yield self._defaults.item(element, kind=kind)
+
+    @cached_property
+    def tendons(self) -> set[str]:
+        """Names of the tendons of the file."""
+        return {item.name for item in self.items("tendon")}
 
     def option(self) -> Item:
         """Element `<option>`; later ones replace earlier ones."""

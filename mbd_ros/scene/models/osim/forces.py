@@ -158,6 +158,7 @@ _READERS: Mapping[str, Callable[[Reading, Item], Entry]] = {
     "TorqueActuator": _torque_actuator,
 }
 _OUTWARDS = (-1.0, 0.0, 0.0)  # OpenSim's half space is where x > 0
+_MOST_PAIRS = 10_000  # of shapes of a force: names may repeat, and every shape meets every other
 CONTACTS = ("HuntCrossleyForce", "SmoothSphereHalfSpaceForce")
 
 
@@ -203,7 +204,9 @@ def _pairs(
     planes = [one for one in given if math.isinf(one[0].radius)]
     spheres = [one for one in given if not math.isinf(one[0].radius)]
     pairs = itertools.product(spheres, planes) if planes else itertools.combinations(spheres, 2)
-    for a, b in pairs:
+    for number, (a, b) in enumerate(pairs):
+        if number == _MOST_PAIRS:
+            raise item.error(f"more than {_MOST_PAIRS} pairs of shapes are not accepted")
         if reading.carriers[a[0].body] != reading.carriers[b[0].body]:
             yield a, b
 
@@ -221,11 +224,9 @@ def _surfaces(reading: Reading, item: Item) -> Iterator[tuple[Shape, Material]]:
 
 def _shape(reading: Reading, item: Item, path: str) -> Shape:
     name = path.rstrip("/").split("/")[-1]
-    for given in reading.model.objects("ContactGeometrySet"):
-        if given.name == name:
-            break
-    else:
+    if name not in reading.contact_geometry:
         raise item.error(f"there is no contact geometry '{name}'")
+    given = reading.contact_geometry[name]
     frame = reading.attached(given, "frame", "body_name", "body")
     at = placement(given, ("location",), ("orientation",))
     end = Attached(frame.body, frame.at * at)

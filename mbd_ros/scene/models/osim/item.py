@@ -14,6 +14,7 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.urdf import MAX_LINKS
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array
 from mbd_ros.errors import SceneError
@@ -189,9 +190,12 @@ class Frames:
 
     def __init__(self, model: Item) -> None:
         names = [body.name for body in bodies_of(model)]
+        if len(names) > MAX_LINKS:
+            raise model.error(f"{len(names)} bodies, accepted are {MAX_LINKS}")
         self.bodies = (GROUND, *(name for name in names if name != GROUND))
         self._offsets: dict[str, Item] = {}
         self._scoped: dict[tuple[str, str], Item] = {}
+        self._held: dict[Element, dict[str, Item]] = {}
         self._index(model)
 
     def attached(self, item: Item, *sockets: str) -> Attached:
@@ -213,7 +217,7 @@ class Frames:
         if last == "..":
             last = _above(item, path.count(".."))
         owner = before[-1] if before else ""
-        offset = _own(item, last) or self._scoped.get((owner, last))
+        offset = self._own(item, last) or self._scoped.get((owner, last))
         if offset is None and last in self.bodies:
             return Attached(last, pin.SE3.Identity())
         offset = offset or self._offsets.get(last)
@@ -225,6 +229,17 @@ class Frames:
         parent = socket(offset, "parent", "parent_frame", "parent_body")
         body, at = self._resolve(offset, parent, depth + 1)
         return Attached(body, at * placement(offset, ("translation",), ("orientation",)))
+
+    def _own(self, item: Item, name: str) -> Item | None:
+        """A frame that the element, or one around it, holds itself."""
+        around: Item | None = item
+        while around is not None:
+            if around.element not in self._held:
+                self._held[around.element] = _frames_in(around)
+            if name in self._held[around.element]:
+                return self._held[around.element][name]
+            around = around.outer
+        return None
 
     def _through_stations(self, item: Item, depth: int) -> Attached:
         """A frame given by three points and an origin."""
@@ -248,6 +263,13 @@ class Frames:
                 self._offsets.setdefault(inner.name, inner)
                 self._scoped[(holder.name if holder else "", inner.name)] = inner
             self._index(inner)
+
+
+def _frames_in(item: Item) -> dict[str, Item]:
+    """Offset frames that an element holds itself, by name."""
+    inside = [inner for tag in ("components", "frames") for inner in item.objects(tag)]
+    frames = [inner for inner in inside if inner.type == "PhysicalOffsetFrame"]
+    return {inner.name: inner for inner in reversed(frames)}  # the first of a name counts
 
 
 def bodies_of(model: Item) -> list[Item]:
@@ -301,18 +323,6 @@ def _above(item: Item, levels: int) -> str:
             return around.name
         around = around.outer
     return ""
-
-
-def _own(item: Item, name: str) -> Item | None:
-    """A frame that the element, or one around it, holds itself."""
-    around: Item | None = item
-    while around is not None:
-        for tag in ("frames", "components"):
-            for inner in around.objects(tag):
-                if inner.type == "PhysicalOffsetFrame" and inner.name == name:
-                    return inner
-        around = around.outer
-    return None
 
 
 def placement(item: Item, at: Sequence[str], turned: Sequence[str]) -> Any:

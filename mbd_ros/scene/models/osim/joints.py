@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from mbd_ros.core.model.urdf import MAX_LINKS
 from mbd_ros.core.state import Array
 from mbd_ros.scene.models.osim.functions import (
     UnknownFunction,
@@ -53,6 +54,8 @@ def read_joints(model: Item, frames: Frames) -> list[Joint]:
     for body in model.objects("BodySet"):
         for item in body.objects("Joint", "joint"):  # before 4.0 a body holds its joint
             found.append(_joint(item, frames, body.name))
+    if len(found) > MAX_LINKS:
+        raise model.error(f"{len(found)} joints, accepted are {MAX_LINKS}")
     taken = Names()
     return [_unique(joint, taken) for joint in found]
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from mbd_ros.scene.models.imported_model import Unexpressed
 from mbd_ros.scene.models.osim.functions import UnknownFunction, function_in
-from mbd_ros.scene.models.osim.item import Item, bodies_of, placement
+from mbd_ros.scene.models.osim.item import Item, placement
 from mbd_ros.scene.models.osim.reading import Reading
 from mbd_ros.scene.models.urdf_text import Function, xyz_rpy
 
@@ -100,7 +100,9 @@ def _location(item: Item, axis: str) -> Function:
 def _wrap(reading: Reading, item: Item, kept: Sequence[int]) -> dict[str, Any] | None:
     """A wrap; None for one that is not active."""
     name = item.text("wrap_object")
-    body, found = _wrap_object(reading, item, name)
+    if name not in reading.wrap_objects:
+        raise item.error(f"there is no wrap object '{name}'")
+    body, found = reading.wrap_objects[name]
     if not found.flag("active", default=True):
         return None
     pose = xyz_rpy(_wrap_frame(found))
@@ -122,16 +124,6 @@ def _between(first: int, last: int, kept: Sequence[int]) -> list[int]:
     begin, end = max(first - 1, 0), (last - 1 if last > 0 else kept[-1])
     inside = [place for place, i in enumerate(kept) if begin <= i <= end]
     return [inside[0], inside[-1]] if inside else [0, 0]
-
-
-def _wrap_object(reading: Reading, item: Item, name: str) -> tuple[str, Item]:
-    bodies = bodies_of(reading.model)
-    ground = reading.model.find("Ground")
-    for body in ([ground] if ground else []) + bodies:
-        for found in body.objects("WrapObjectSet"):
-            if found.name == name:
-                return body.name or "ground", found
-    raise item.error(f"there is no wrap object '{name}'")
 
 
 def _wrap_frame(item: Item) -> Any:

@@ -1,10 +1,11 @@
 """What is known while the sections of a model are read: its frames, joints, names, left-outs."""
 
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from typing import Any
 
 from mbd_ros.scene.models.imported_model import LeftOut, Unexpressed
-from mbd_ros.scene.models.osim.item import Attached, Frames, Item, socket
+from mbd_ros.scene.models.osim.item import GROUND, Attached, Frames, Item, bodies_of, socket
 from mbd_ros.scene.models.osim.mechanism import Mechanism
 from mbd_ros.scene.models.urdf_text import Names
 
@@ -45,6 +46,19 @@ class Reading:
         self.carriers = mechanism.carriers(fixed)
         self.left_out: list[LeftOut] = []
         self.names = Names(self.joints)
+
+    @cached_property
+    def wrap_objects(self) -> dict[str, tuple[str, Item]]:
+        """Name of a surface that paths wrap over -> its body and itself; the first of a name."""
+        ground = self.model.find("Ground")
+        bodies = [*([ground] if ground else []), *bodies_of(self.model)]
+        surfaces = [(body, one) for body in bodies for one in body.objects("WrapObjectSet")]
+        return {one.name: (body.name or GROUND, one) for body, one in reversed(surfaces)}
+
+    @cached_property
+    def contact_geometry(self) -> dict[str, Item]:
+        """The shapes that touch, by name; the first of a name."""
+        return {one.name: one for one in reversed([*self.model.objects("ContactGeometrySet")])}
 
     def leave_out(self, item: Item, reason: str) -> None:
         """Note that the scene does not have an element."""
