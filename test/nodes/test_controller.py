@@ -13,7 +13,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
 from msg_adapters.diagnostics import OK
 
-AT_ONCE = {"safe_ramp": 0.0, "timeout": 10.0}
+AT_ONCE = {"safe_ramp": 0.0}
 LAWS = {
     "sliding_mode": "sliding",
     "super_twisting": "sliding",

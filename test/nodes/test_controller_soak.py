@@ -48,7 +48,7 @@ def test_closed_loop_for_long(domain, tmp_path, seconds):
     (other := tmp_path / "controller").mkdir()
     with simulated(domain, folder, ARM, rate=RATE, marker_rate=0.0) as plant:
         plant.probe.node.destroy_publisher(plant._vectors)
-        with controlled(domain, other, plant=NAME) as client:
+        with controlled(domain, other, plant=NAME, timeout=0.1) as client:
             client.probe.spin_until(lambda: client.states)
             client.lead(swinging(seconds + 5.0, client.states[-1].stamp + 500_000_000))
             start, nodes = time.perf_counter(), (plant.node, client.node)

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from deadline import DEADLINE
+from deadline import DEADLINE, PATIENT
 from nodes.joint_stream import ACTIVE, parameter_file
 from nodes.node_process import NodeProcess
 from nodes.probe import Probe
@@ -28,6 +28,7 @@ from msg_adapters.multi_array import read_answered
 KINDS = {"sliding": "sliding_mode_controller", "qp": "qp_controller"}
 POSE = np.array([0.5, 0.3, 0.2, 0.1])  # of JOINTS
 STEP = 10_000_000  # ns between two joint states
+MOMENT = 0.1  # s of silence
 
 
 class ControlClient:
@@ -38,7 +39,6 @@ class ControlClient:
         arrivals: When they came, on the clock of `perf_counter` [s].
         answered: Stamps of the joint states that they answer [ns]; None without one.
         states: Messages of ~/state.
-        sent: When the last joint state was sent, on the same clock [s].
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class ControlClient:
         self._joints = publish(JointState, topic, DEEP)
         self._references = publish(JointState, f"{self.name}/reference", DEEP)
         self._trajectories = publish(JointTrajectory, f"{self.name}/joint_trajectory", DEEP)
-        self.stamp, self.sent = time.time_ns(), 0.0
+        self.stamp = time.time_ns()
 
     def connect(self) -> None:
         """Until both sides know each other."""
@@ -96,7 +96,6 @@ class ControlClient:
 
     def publish(self, message: Any) -> None:
         """Send a joint state."""
-        self.sent = time.perf_counter()
         self._joints.publish(message)
 
     def ask(self, pose: Any = POSE, **changes: Any) -> Any:
@@ -109,15 +108,20 @@ class ControlClient:
         return self.commands[-1]
 
     def stand(self, pose: Any = POSE) -> Any:
-        """Joint states at rest, in real time, until the law alone holds them; its command."""
+        """Joint states at rest until the law alone holds them; its command."""
         full = self.holding(pose)
 
         def is_full() -> bool:
-            self.probe.spin_for(STEP * 1e-9)
-            return np.allclose(self.ask(pose), full, rtol=1e-9, atol=0.0)
+            command = self.ask(pose, stamp=self.stamp + STEP)
+            return np.allclose(command, full, rtol=1e-9, atol=0.0)
 
         self.probe.spin_until(is_full)
         return self.commands[-1]
+
+    def be_patient(self, is_patient: bool = True) -> None:
+        """Let the node wait for joint states for as long as a test may take, or for a moment."""
+        timeout = PATIENT["timeout"] if is_patient else MOMENT
+        assert self.probe.set_parameter(self.name, "timeout", timeout).successful
 
     def handled(self) -> None:
         """Until the node has handled what was sent, and what it said of that is here."""
@@ -172,10 +176,15 @@ class ControlClient:
 
 
 def gone_safe(client: ControlClient) -> Any:
-    """The first status that says so, once the last command on the wire is safe."""
+    """The first status that says so, once the last command on the wire is safe.
+
+    The node loses its patience for that, and has it back when this returns.
+    """
+    client.be_patient(False)
     share = "share of the safe command"
     health = client.wait_health(lambda h: h.level == STALE and h.values[share] == "1")
     client.probe.spin_until(lambda: not client.commands[-1].any())
+    client.be_patient()
     return health
 
 
@@ -204,11 +213,13 @@ def controlled(
         kind: Of `KINDS`.
         plant: Node that takes the commands and sends joint states; empty: the test itself.
         stop: Signal that ends it; None where the test does.
-        **parameters: Of the node; `__` in a name stands for a dot.
+        **parameters: Of the node; `__` in a name stands for a dot. Without others those of
+            `PATIENT` hold: where silence is what a test is about, it sets `timeout` by then.
     """
     path = folder / f"control_scene_{len(list(folder.iterdir()))}.yaml"
     path.write_text(scene, encoding="utf-8")
     values = {name.replace("__", "."): value for name, value in parameters.items()}
+    values = {**PATIENT, **values}
     if not plant:
         values = {"error_limit": 0.0, **values}  # the test sends joint states that never follow
     file = parameter_file(folder, {"scene": path, **values})

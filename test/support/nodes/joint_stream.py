@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from deadline import PATIENT
 from geometry_msgs.msg import WrenchStamped
 from nodes.node_process import NodeProcess
 from nodes.probe import Probe
@@ -184,7 +185,7 @@ def live(
     **parameters: Any,
 ) -> Iterator[JointStream]:
     """A running node, which must end with exit code `code`, and if 0 without a traceback."""
-    file = parameter_file(folder, {"scene": scene, **parameters})
+    file = parameter_file(folder, {"scene": scene, **PATIENT, **parameters})
     words = [*TARGET, "--ros-args", "--params-file", str(file), *arguments]
     node = NodeProcess([sys.executable, *words], domain)
     try:
