@@ -22,7 +22,7 @@ OTHER_PYTHON := other_python
 endif
 endif
 
-.PHONY: venv check test browser calculix demo lint format report docs links picture soak fuzz fuzz-nodes bench against imports colcon clean other_python
+.PHONY: venv check test browser calculix demo lint format report docs licences links picture soak fuzz fuzz-nodes bench against imports colcon clean other_python
 
 venv: .venv/installed
 
@@ -87,6 +87,10 @@ report: venv .venv/report
 docs: venv .venv/docs
 	$(BIN)/python docs/site/build.py docs_out
 	@echo "docs: docs_out/index.html"
+
+# The page is part of the sources: only a new pin changes it.
+licences: venv .venv/docs $(COLCON_VENV)/pinned
+	$(BIN)/python docs/site/licences.py $(BIN)/python $(COLCON_VENV)/bin/python
 
 picture: venv
 	$(BIN)/python docs/site/moving_picture.py

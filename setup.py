@@ -54,7 +54,7 @@ setup(
         "biomechanics": ["ezc3d"],
         "compiled": ["casadi"],
         "dask": ["dask[distributed]"],
-        "docs": ["furo", "latex2mathml", "myst-parser", "sphinx"],
+        "docs": ["furo", "latex2mathml", "myst-parser", "pip-licenses", "sphinx"],
         "fem": ["meshio"],
         "identification": ["clarabel"],
         "learn": ["onnx", "onnxruntime", "torch"],
