@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from mbd_ros.errors import DataError, MbdError
+from mbd_ros.files.output_folder import make_folder, place_in
 from mbd_ros.files.text_file import refuse_overwriting
 from mbd_ros.jobs.progress import Say
 from mbd_ros.jobs.workers.opening import do_all, open_workers, watched
@@ -91,7 +92,7 @@ def do_batch(
     orders = _orders(batch)
     check()
     tasks = [WorkerTask(str(order[0]), call, _argument(batch, *order)) for order in orders]
-    _make_folder(batch.out)
+    make_folder(batch.out)
     failed = []
     with open_workers(batch.scheduler, batch.workers) as workers:
         for task, result in watched(do_all(workers, tasks), tasks, workers.count):
@@ -120,7 +121,7 @@ def _places(motions: Sequence[Path], folder: Path) -> dict[Path, Path]:
     taken: dict[Path, Path] = {}
     sources = {motion.resolve() for motion in motions}
     for motion in motions:
-        out = folder.resolve() / motion.resolve().name
+        out = place_in(folder.resolve(), motion.resolve().name)
         if out in taken:
             raise DataError(f"{taken[out]} and {motion} have the same name, results would meet")
         if out in sources:
@@ -138,13 +139,6 @@ def _externals(batch: Batch) -> list[Path | None]:
             "one for each"
         )
     return [*files] if len(files) == count else [files[0] if files else None] * count
-
-
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be made a folder ({error.strerror})") from error
 
 
 def _argument(batch: Batch, motion: Path, out: Path, external: Path | None) -> dict[str, Any]:

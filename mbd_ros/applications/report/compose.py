@@ -28,6 +28,7 @@ from mbd_ros.applications.report.subjects import Subject, subjects
 from mbd_ros.compiled.build.compiler import cores
 from mbd_ros.errors import FAILED, DataError, MbdError
 from mbd_ros.features.simulation.job import Interrupted, simulate
+from mbd_ros.files.output_folder import make_folder, place_in
 from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.workers.opening import Remaining, Workers, do_all, open_workers, spoken, watched
 from mbd_ros.jobs.workers.task import Result, Task, cpu
@@ -213,7 +214,7 @@ def _write(
     for section in sections.values():
         for name, figure in section.figures.items():
             pictures[name] = _picture(figure)
-            with replacing(folder / f"{name}.png") as file:
+            with replacing(place_in(folder, f"{name}.png")) as file:
                 file.write(pictures[name])
     wrong = [f"{s.title}: {line}" for s in sections.values() for line in s.wrong]
     facts["wrong"] = wrong
@@ -344,7 +345,8 @@ def scene_pages(subjects: Sequence[Subject], folder: Path, made: dict[str, str])
     if find_spec("viser") is None:
         yield "no pages of scenes: pip install 'mbd_ros[view]'"
         return
-    (folder / FOLDER).mkdir(parents=True, exist_ok=True)
+    pages = place_in(folder, FOLDER)
+    make_folder(pages)
     for subject in subjects:
         try:
             text = _page(subject)
@@ -354,7 +356,7 @@ def scene_pages(subjects: Sequence[Subject], folder: Path, made: dict[str, str])
             yield f"no page of {subject.name}: {error}"
             continue
         made[subject.name] = f"{FOLDER}/{subject.name}.html"
-        with replacing(folder / made[subject.name]) as file:
+        with replacing(place_in(pages, f"{subject.name}.html")) as file:
             file.write(text.encode())
 
 

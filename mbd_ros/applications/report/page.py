@@ -18,6 +18,7 @@ from urllib.parse import quote
 
 from mbd_ros.applications.report.items import Section, Table
 from mbd_ros.errors import DataError
+from mbd_ros.files.output_folder import make_folder, place_in
 from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.workers.opening import spoken
 from mbd_ros.regular_file import open_regular
@@ -36,7 +37,7 @@ _POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 _LABELS = {"cpu": "CPU"}
 BEGIN, END = "<!-- report: begin -->", "<!-- report: end -->"
 _BETWEEN = re.compile(f"{re.escape(BEGIN)}.*?{re.escape(END)}", re.DOTALL)
-_PLOT = Path("images/report.png")
+_PLOT = ("images", "report.png")
 
 
 def page(
@@ -275,11 +276,11 @@ def put_headlines(readme: Path, folder: Path) -> Iterator[str]:
     lines = [BEGIN, *_made(numbers), *_tables(numbers)]
     figures = [f for s in numbers["sections"].values() for f in s["figures"] if f in s["headline"]]
     if figures:
-        target = readme.parent / _PLOT
-        target.parent.mkdir(exist_ok=True)
+        target = place_in(readme.parent, *_PLOT)
+        make_folder(target.parent)
         with replacing(target) as file:
             file.write((folder / f"{figures[0]}.png").read_bytes())
-        lines += [f"![{figures[0].replace('_', ' ')}]({_PLOT.as_posix()})", ""]
+        lines += [f"![{figures[0].replace('_', ' ')}]({'/'.join(_PLOT)})", ""]
         yield f"{figures[0]} -> {target}"
     new = _BETWEEN.sub(lambda _: "\n".join([*lines, END]), text)
     with replacing(readme) as file:

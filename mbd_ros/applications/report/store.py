@@ -21,6 +21,7 @@ import mbd_ros
 from mbd_ros.applications.report import items
 from mbd_ros.applications.report.items import Item
 from mbd_ros.errors import DataError, SceneError
+from mbd_ros.files.output_folder import place_in
 from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.workers.task import Result
 from mbd_ros.regular_file import open_regular
@@ -53,7 +54,7 @@ class Store:
                 raise DataError(f"{folder}: is not a folder")
             if folder.is_dir() and any(folder.iterdir()) and not _is_report(folder):
                 raise DataError(f"{folder}: holds something else than a report")
-            self.folder = folder / _FOLDER
+            self.folder = place_in(folder, _FOLDER)
             self.folder.mkdir(parents=True, exist_ok=True)
             with replacing(folder / _MARK) as file:
                 file.write(b"A report of mbd_ros; it may be written over.\n")
@@ -103,8 +104,8 @@ class Store:
             raise ValueError(f"name of a {item.kind} item: {item.name!r}")
         parts = [item.name, item.spec, basis.files, cpu if item.alone else ""]
         identity = hashlib.sha256(json.dumps(parts, sort_keys=True).encode()).hexdigest()
-        folder = self.folder / f"{item.kind}-{basis.program[:12]}"
-        return folder / f"{item.name[:100]}-{identity[:12]}.json"
+        kind = f"{item.kind}-{basis.program[:12]}"
+        return place_in(self.folder, kind, f"{item.name[:100]}-{identity[:12]}.json")
 
 
 @contextmanager

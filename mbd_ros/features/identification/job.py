@@ -19,7 +19,6 @@ from mbd_ros.features.identification.outcome import (
     outcome,
     scene_text,
     without_friction,
-    write_files,
 )
 from mbd_ros.features.identification.physical_consistency import Consistent, consistent
 from mbd_ros.features.identification.problem import Problem
@@ -31,6 +30,7 @@ from mbd_ros.features.identification.samples import (
     check_units,
 )
 from mbd_ros.features.identification.task import Identified, Task, keep_remarks
+from mbd_ros.files.output_folder import write_files
 from mbd_ros.files.table import Result, Table
 from mbd_ros.files.text_file import refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, watching
@@ -253,7 +253,8 @@ def identify_to(scene: Scene, task: Task, folder: Path, say: Say) -> None:
         **{f"{name}.csv": csv(table) for name, table in found.tables.items()},
         "report.html": page(found, scene.name).encode(),
     }
-    write_files(folder, files, say)
+    write_files(folder, files)
+    say(f"{folder}: {', '.join(files)}")
 
 
 def _rows(table: Table) -> Iterator[tuple[Any, ...]]:

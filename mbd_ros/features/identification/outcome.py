@@ -5,9 +5,7 @@ measured.
 """
 
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from itertools import pairwise
-from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
@@ -19,7 +17,7 @@ from mbd_ros.core.model.urdf import place_inertias
 from mbd_ros.core.model.xml_tree import xml_tree
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
-from mbd_ros.errors import DataError, SceneError
+from mbd_ros.errors import SceneError
 from mbd_ros.features.identification.drives import (
     Measured,
     also_of,
@@ -40,7 +38,6 @@ from mbd_ros.features.identification.samples import Filter, Piece, grid_step
 from mbd_ros.features.identification.task import Identified
 from mbd_ros.files.table import Column as TableColumn
 from mbd_ros.files.table import Table
-from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.variants import with_inertias, with_sections
@@ -381,19 +378,3 @@ def _word(value: Any) -> str:
     if isinstance(value, str):
         return f'"{value}"' if "," in value else value
     return repr(float(value))
-
-
-def write_files(folder: Path, files: Mapping[str, bytes], say: Say) -> None:
-    """Write files of a folder; all, or none.
-
-    Raises:
-        DataError: The folder or a file cannot be written.
-    """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be made ({error.strerror})") from error
-    with ExitStack() as stack:  # each takes its place when all are written
-        for name, content in files.items():
-            stack.enter_context(replacing(folder / name)).write(content)
-    say(f"{folder}: {', '.join(files)}")

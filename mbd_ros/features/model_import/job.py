@@ -1,14 +1,12 @@
 """A model of OpenSim or MuJoCo -> a description, a scene, and a list of what they leave out."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from mbd_ros.errors import DataError
-from mbd_ros.files.text_file import replacing
+from mbd_ros.files.output_folder import comment_line, file_stem, write_files
 from mbd_ros.scene.models.imported_model import Imported
 from mbd_ros.scene.models.model_entry import brought_sections, format_of, import_model
 from mbd_ros.scene.models.urdf_text import plain
@@ -34,7 +32,7 @@ def import_opensim(model: Path, folder: Path) -> Iterator[str]:
         DataError: The files cannot be written.
     """
     imported = import_model(model, format_of(model) or "osim", {})
-    name = plain(imported.name)
+    name = file_stem(plain(imported.name))
     sections, absent = brought_sections(imported)
     lines = [*absent, *map(str, imported.left_out)]
     text = scene_text(imported, f"{name}.urdf", sections, model.name)
@@ -44,7 +42,7 @@ def import_opensim(model: Path, folder: Path) -> Iterator[str]:
         f"{name}.yaml": text,
         f"{name}.left_out.txt": "".join(f"{line}\n" for line in lines),
     }
-    _write(folder, files)
+    write_files(folder, {name: text.encode() for name, text in files.items()})
     yield f"{folder / f'{name}.yaml'}: {', '.join(f'{k} {len(v)}' for k, v in sections.items())}"
     yield from (f"left out: {line}" for line in lines or ["nothing"])
 
@@ -61,7 +59,7 @@ def scene_text(imported: Imported, urdf: str, sections: Mapping[str, Any], sourc
     text = yaml.safe_dump(
         entries, sort_keys=False, default_flow_style=None, width=_WIDTH, allow_unicode=True
     )
-    return f"# {imported.name}, from {source}.\n{text}"
+    return comment_line(f"{imported.name}, from {source}.") + text
 
 
 def _checked(text: str, path: Path) -> dict[str, Any]:
@@ -69,14 +67,3 @@ def _checked(text: str, path: Path) -> dict[str, Any]:
     entries = mapping_of(text, str(path))
     del entries["robot"]["urdf"]
     return entries
-
-
-def _write(folder: Path, files: Mapping[str, str]) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be made ({error.strerror})") from error
-    with ExitStack() as stack:  # each takes its place when all are written
-        for name, text in files.items():
-            file = stack.enter_context(replacing(folder / name))
-            file.write(text.encode())

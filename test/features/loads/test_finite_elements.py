@@ -260,7 +260,10 @@ def test_a_series_for_paraview(walk, tmp_path):
     import meshio
 
     body, steps, _ = pylon(*walk)
+    (tmp_path / "other").write_text("precious", encoding="utf-8")
+    (tmp_path / "pylon_0000.vtu").symlink_to("other")  # is replaced
     write_body(body, steps, tmp_path / "pylon.vtu", lambda text: None)
+    assert (tmp_path / "other").read_text(encoding="utf-8") == "precious"
     listed = ElementTree.parse(tmp_path / "pylon.pvd").getroot()
     files = [(float(e.get("timestep")), e.get("file")) for e in listed.iter("DataSet")]
     assert [time for time, _ in files] == pytest.approx([0.02, 0.05, 0.08])

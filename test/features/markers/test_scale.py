@@ -141,6 +141,9 @@ def test_command_writes_a_scene_or_nothing(leg, tmp_path, capsys):
     toe = tall.parts["sensors"]["toe"]
     np.testing.assert_allclose(toe.xyz, [0.14, 0.9 * 0.02, -0.04], atol=1e-12)
     assert "shank: x 1, y 1, z 1.1" in capsys.readouterr().out
+    task.write_text(task.read_text().replace("tall", "CON"))  # no file of Windows has this name
+    assert main(words) == 0
+    assert mbd.load_scene(tmp_path / "out" / "_CON.yaml").robot.model.nv == tall.robot.model.nv
     task.write_text("scale:\n  segments:\n    shank: {pairs: [[heel, to]]}\n")
     assert main([*words[:-1], str(tmp_path / "none")]) != 0
     assert "no marker to in the scene; the nearest is toe" in capsys.readouterr().err

@@ -11,6 +11,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.features.identification.excite.job import Excitation, excite, points_of
 from mbd_ros.files.bags.bag_types import new_message
 from mbd_ros.files.bags.bag_writer import BagWriter
+from mbd_ros.files.output_folder import make_folder
 from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
@@ -32,10 +33,7 @@ def excite_to(scene: Scene, out: Path, rate: float, options: dict[str, Any], say
     count = rate * options["period"]
     if not 4 <= count <= _MOST:
         raise DataError(f"--rate {rate:g}: {count:g} points, controllers take 4 .. {_MOST}")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{out}: cannot be made ({error.strerror})") from error
+    make_folder(out)
     found = excite(scene, **options, say=say, progress=True)
     samples = found.samples(rate)
     points = [

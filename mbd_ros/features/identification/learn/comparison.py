@@ -38,10 +38,11 @@ from mbd_ros.features.identification.learn.training_samples import (
     blocks_of,
     trusted,
 )
-from mbd_ros.features.identification.outcome import csv, write_files
+from mbd_ros.features.identification.outcome import csv
 from mbd_ros.features.identification.regressor import limits_of
 from mbd_ros.features.identification.samples import Recorded, split
 from mbd_ros.features.identification.task import Task as IdentifyTask
+from mbd_ros.files.output_folder import write_files
 from mbd_ros.files.table import Column, Table
 from mbd_ros.jobs.progress import Say
 from mbd_ros.scene.built_scene import Scene
@@ -69,7 +70,8 @@ def compare_to(scene: Scene, task: Task, folder: Path, seeds: int, say: Say) -> 
         "runs.csv": csv(runs),
         "comparison.png": picture(summary),
     }
-    write_files(folder, files, say)
+    write_files(folder, files)
+    say(f"{folder}: {', '.join(files)}")
 
 
 def picture(summary: Table) -> bytes:

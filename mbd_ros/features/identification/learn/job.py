@@ -27,10 +27,11 @@ from mbd_ros.features.identification.learn.linear_corrections import Columns, Kn
 from mbd_ros.features.identification.learn.onnx_file import onnx_of
 from mbd_ros.features.identification.learn.task import FREEZE, Learned, Outcome, Task
 from mbd_ros.features.identification.learn.training_samples import Samples, Scales
-from mbd_ros.features.identification.outcome import csv, description_of, scene_text, write_files
+from mbd_ros.features.identification.outcome import csv, description_of, scene_text
 from mbd_ros.features.identification.samples import split
 from mbd_ros.features.identification.task import Task as IdentifyTask
 from mbd_ros.features.identification.task import keep_remarks
+from mbd_ros.files.output_folder import write_files
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.files.text_file import refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, share_watch, watching
@@ -225,7 +226,8 @@ def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: S
         say(f"no scene.yaml is written: {error}")
     for name, table in found.tables.items():
         files[f"{name}.csv"] = csv(table)
-    write_files(folder, files, say)
+    write_files(folder, files)
+    say(f"{folder}: {', '.join(files)}")
 
 
 def _weights(model: Learned) -> bytes:

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 
@@ -42,7 +43,9 @@ def write_series(body: Body, steps: Sequence[Step], out: Path) -> int:
             "load": number,
         }
         names.append(out.with_name(f"{out.stem}_{i:04d}.vtu"))
-        meshio.Mesh(points, cells, point_data=data).write(names[-1])
+        with TemporaryDirectory() as folder, replacing(names[-1]) as file:
+            meshio.Mesh(points, cells, point_data=data).write(f"{folder}/instant.vtu")
+            file.write(Path(f"{folder}/instant.vtu").read_bytes())
     sets = "".join(
         f'<DataSet timestep="{step.time:.9g}" file="{name.name}"/>\n'
         for step, name in zip(steps, names, strict=True)

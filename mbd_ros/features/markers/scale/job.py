@@ -1,7 +1,6 @@
 """A scene and a description whose segments have a person's size and mass: `mbd-ros scale`."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import ExitStack
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -17,7 +16,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError, SceneError
 from mbd_ros.features.markers.marker_kinematics import markers_of
 from mbd_ros.features.markers.scale.task import ScaleTask
-from mbd_ros.files.text_file import replacing
+from mbd_ros.files.output_folder import comment_line, file_stem, write_files
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.recordings import Capture, Source, read_capture
 from mbd_ros.scene.built_scene import Scene
@@ -79,20 +78,14 @@ def scale_to(scene: Scene, static: Path, task: Path, folder: Path, say: Say) -> 
     asked = _read(scene, task)
     entries, text = scaled_entries(scene, static, asked, say)
     scene_from(entries, urdf=text)
-    robot = {"urdf": f"{asked.name}.urdf", **entries["robot"]}
+    name = file_stem(asked.name)
+    robot = {"urdf": f"{name}.urdf", **entries["robot"]}
     body = yaml.safe_dump(
         {**entries, "robot": robot}, sort_keys=False, default_flow_style=None, width=_WIDTH
     )
-    head = f"# {asked.name}: {Path(scene.name).name}, scaled by {static.name}.\n"
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise DataError(f"{folder}: cannot be made ({error.strerror})") from error
-    with ExitStack() as stack:  # each takes its place when both are written
-        for name, content in ((f"{asked.name}.urdf", text), (f"{asked.name}.yaml", head + body)):
-            file = stack.enter_context(replacing(folder / name))
-            file.write(content.encode())
-    say(f"{folder / f'{asked.name}.yaml'}")
+    head = comment_line(f"{asked.name}: {Path(scene.name).name}, scaled by {static.name}.")
+    write_files(folder, {f"{name}.urdf": text.encode(), f"{name}.yaml": (head + body).encode()})
+    say(f"{folder / f'{name}.yaml'}")
 
 
 def scaled_entries(
