@@ -17,7 +17,7 @@ ARMS = {
 }
 
 
-@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("name", [pytest.param("panda", marks=pytest.mark.soak), "ur10"])
 def test_an_arm_that_was_not_looked_at_is_explained(tmp_path, capsys, name):
     """First 60 % -> last 40 %, no option."""
     urdf, more, in_band, as_measured = ARMS[name]
