@@ -28,6 +28,9 @@ from mbd_ros.errors import ModelError
 _NO_NUMBERS: Mapping[str, Sequence[float]] = MappingProxyType({})
 FADE = 0.25  # width of a fade, over half of what an entry spans, unless a scene says another
 VERSION = 1
+FREE, STRUCTURED = "free", "structured"
+KINDS = (FREE, STRUCTURED)
+_SHOWN = 40  # characters of what is wrong
 ABOUT, SUM = "mbd_ros", "mbd_ros.sha256"  # keys of the metadata
 ZEROS = "0" * 64
 LARGEST = 64_000_000  # bytes
@@ -189,7 +192,7 @@ def about(file: LearnedFile) -> About:
     blank = content[:at] + ZEROS.encode() + content[at + len(ZEROS) :]
     if _sum(blank) != content[at : at + len(ZEROS)]:
         raise ModelError(f"{file.name} is damaged: its contents do not match their sum")
-    return about_of(file.name, _metadata(file))
+    return about_in(file.name, _metadata(file))
 
 
 class About(NamedTuple):
@@ -238,17 +241,10 @@ def _sum(content: bytes) -> bytes:
     return hashlib.sha256(content).hexdigest().encode()
 
 
-def _metadata(file: LearnedFile) -> dict[str, Any]:
-    """The JSON of the metadata, from the bytes of the file."""
+def _metadata(file: LearnedFile) -> str:
+    """The JSON of the metadata, and what is behind it, from the bytes of the file."""
     start = file.content.find(b'{"version": ')
-    try:
-        text = file.content[start:].decode("utf-8", errors="replace")
-        found, _ = json.JSONDecoder().raw_decode(text)
-    except ValueError as error:
-        raise ModelError(f"{file.name} does not say what it belongs to") from error
-    if not isinstance(found, dict):
-        raise ModelError(f"{file.name} does not say what it belongs to")
-    return found
+    return file.content[start:].decode("utf-8", errors="replace") if start >= 0 else ""
 
 
 def signed(content: bytes) -> bytes:
@@ -262,8 +258,8 @@ def signed(content: bytes) -> bytes:
     return content.replace(_place() + ZEROS.encode(), _place() + _sum(content))
 
 
-def about_of(name: str, found: dict[str, Any]) -> About:
-    """What a model says of itself, from the values of its JSON.
+def about_in(name: str, text: str) -> About:
+    """What a model says of itself, from its JSON, with which the text begins.
 
     Args:
         name: For the messages.
@@ -271,23 +267,43 @@ def about_of(name: str, found: dict[str, Any]) -> About:
     Raises:
         ModelError: It is of another version, or does not say it; names it.
     """
+    try:
+        found, _ = json.JSONDecoder().raw_decode(text)
+    except (ValueError, RecursionError) as error:
+        raise ModelError(f"{name} does not say what it belongs to") from error
+    if not isinstance(found, dict):
+        raise ModelError(f"{name} does not say what it belongs to")
     version = found.pop("version", None)
     if version != VERSION:
         raise ModelError(
-            f"{name} has version {version!r} of learned models, accepted: {VERSION}; "
+            f"{name} has version {str(version)[:_SHOWN]} of learned models, accepted: {VERSION}; "
             "learn it again"
         )
     try:
         made = About(**found)
         low, high = (np.array(one, dtype=np.float64) for one in (made.low, made.high))
-        joints = tuple(map(str, made.joints))
+        joints = _names(made.joints)
         tables: dict[str, Any] = {key: _table(getattr(made, key)) for key in _TABLES}
-    except (TypeError, ValueError, AttributeError) as error:
+    except (TypeError, ValueError, AttributeError, OverflowError) as error:
         raise ModelError(f"{name} does not say what it belongs to: {error}") from error
+    if made.kind not in KINDS or not isinstance(made.scene, str):
+        raise ModelError(f"{name} is of no kind that is known, accepted: {', '.join(KINDS)}")
     is_whole = low.shape == high.shape == (2 * len(joints),) and np.isfinite([low, high]).all()
     if not (is_whole and (low < high).all()):
         raise ModelError(f"{name}: its range is none")
     return made._replace(low=low, high=high, joints=joints, **tables)
+
+
+def _names(given: Any) -> tuple[str, ...]:
+    """Different names.
+
+    Raises:
+        ValueError: It holds something else.
+    """
+    is_list = isinstance(given, list) and all(isinstance(name, str) for name in given)
+    if not is_list or not given or len(set(given)) < len(given):
+        raise ValueError("joints are not different names")
+    return tuple(given)
 
 
 def _table(given: Mapping[str, Sequence[float]]) -> dict[str, list[float]]:

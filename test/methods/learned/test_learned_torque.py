@@ -172,9 +172,9 @@ def foreign_operator(data):
     ("change", "message"),
     [
         (damaged, "damaged"),
-        (lambda data: data[:3000], "is damaged"),
-        (lambda data: b"\x80\x04\x95cos\nsystem\n", "not a file of weights of mbd-ros learn"),
-        (lambda data: b"", "not a file of weights of mbd-ros learn"),
+        (lambda data: data[:3000], "damaged|no file of mbd-ros learn"),
+        (lambda data: b"\x80\x04\x95cos\nsystem\n", "no file of mbd-ros learn"),
+        (lambda data: b"", "no file of mbd-ros learn"),
         (versioned, "version 9 .* accepted: 1"),
         (foreign_operator, "the network cannot be asked"),
         (other_numbers, "does not say what it belongs to"),

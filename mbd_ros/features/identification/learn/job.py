@@ -4,8 +4,6 @@ The folder of a model holds the network (ONNX), its weights, from which learning
 scene that loads it.
 """
 
-import io
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -23,10 +21,15 @@ from mbd_ros.features.identification.learn.fitting import (
     require_torch,
     share_of,
 )
-from mbd_ros.features.identification.learn.linear_corrections import Columns, Known
+from mbd_ros.features.identification.learn.linear_corrections import Columns
 from mbd_ros.features.identification.learn.onnx_file import onnx_of
 from mbd_ros.features.identification.learn.task import FREEZE, Learned, Outcome, Task
-from mbd_ros.features.identification.learn.training_samples import Samples, Scales
+from mbd_ros.features.identification.learn.training_samples import Samples
+from mbd_ros.features.identification.learn.weights_file import (
+    WEIGHTS,
+    read_folder,
+    weights_file,
+)
 from mbd_ros.features.identification.outcome import csv, description_of, scene_text
 from mbd_ros.features.identification.samples import split
 from mbd_ros.features.identification.task import Task as IdentifyTask
@@ -35,14 +38,13 @@ from mbd_ros.files.output_folder import write_files
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.files.text_file import refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, share_watch, watching
-from mbd_ros.methods.learned import TrainingRange, about_of, check_robot, numbers_of
+from mbd_ros.methods.learned import TrainingRange, check_robot, numbers_of
 from mbd_ros.motion.recordings import Source
-from mbd_ros.npz_file import read_arrays
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.variants import with_sections
 
-MODEL, WEIGHTS, SCENE = "model.onnx", "weights.npz", "scene.yaml"
+MODEL, SCENE = "model.onnx", "scene.yaml"
 
 
 def learn(
@@ -218,7 +220,7 @@ def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: S
     Raises:
         DataError: A place that cannot be written to.
     """
-    files: dict[str, bytes] = {MODEL: found.content, WEIGHTS: _weights(found.model), **more}
+    files: dict[str, bytes] = {MODEL: found.content, WEIGHTS: weights_file(found.model), **more}
     try:
         files["robot.urdf"] = description_of(found.scene).encode()
         files[SCENE] = _scene(found)
@@ -230,46 +232,9 @@ def write_folder(folder: Path, found: Outcome, more: Mapping[str, bytes], say: S
     say(f"{folder}: {', '.join(files)}")
 
 
-def _weights(model: Learned) -> bytes:
-    arrays = {f"weight.{key}": value for key, value in model.weights.items()}
-    arrays |= {f"scale.{key}": value for key, value in model.scales._asdict().items()}
-    arrays |= {f"known.{key}": value for key, value in model.known._asdict().items()}
-    arrays |= {"trust": model.trust, "numbers": model.numbers}
-    target = io.BytesIO()
-    np.savez_compressed(target, about=np.array(model.about.text()), **arrays)
-    return target.getvalue()
-
-
 def _scene(found: Outcome) -> bytes:
     """The scene that the network stands on, with the network."""
     values: dict[str, Any] = yaml.safe_load(scene_text(found.scene, "robot.urdf"))
     forces = [*(values.get("forces") or []), {"type": "learned_torque", "model": MODEL}]
     text: str = yaml.safe_dump({**values, "forces": forces}, sort_keys=False, width=120)
     return text.encode()
-
-
-def read_folder(folder: Path) -> Learned:
-    """The model of a folder, to go on from; reading it runs no code.
-
-    Raises:
-        DataError: It is none, of another version, or damaged; names it.
-    """
-    path = folder / WEIGHTS
-    return _learned(path, read_arrays(path, "a file of weights of mbd-ros learn"))
-
-
-def _learned(path: Path, arrays: dict[str, Array]) -> Learned:
-    try:
-        about = about_of(str(path), json.loads(str(arrays["about"])))
-        scales = Scales(*(arrays[f"scale.{key}"] for key in Scales._fields))
-        weights = {
-            key.removeprefix("weight."): value
-            for key, value in arrays.items()
-            if key.startswith("weight.")
-        }
-        known = Known(*(arrays[f"known.{key}"] for key in Known._fields))
-        return Learned(about, scales, weights, arrays["trust"], known, arrays["numbers"])
-    except ModelError as error:
-        raise DataError(str(error)) from error
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise DataError(f"{path}: is no file of mbd-ros learn: {error}") from error

@@ -7,7 +7,8 @@ from worn_leg import LEG, worn_leg
 import mbd_ros as mbd
 from mbd_ros.cli import main
 from mbd_ros.errors import DataError
-from mbd_ros.features.identification.learn.job import read_folder, write_folder
+from mbd_ros.features.identification.learn.job import write_folder
+from mbd_ros.features.identification.learn.weights_file import read_folder
 
 pytest.importorskip("torch", reason="torch is optional and large (extra: learn)")
 pytest.importorskip("onnx", reason="onnx is optional (extra: learn)")
