@@ -15,7 +15,7 @@ import numpy as np
 
 from mbd_ros.core.rows.constraint_rows import independent
 from mbd_ros.core.state import Array
-from mbd_ros.errors import DataError, SceneError
+from mbd_ros.errors import DataError, DivergedError, SceneError
 from mbd_ros.features.sampling.components import random_starts
 from mbd_ros.features.sampling.ensemble import (
     Ensemble,
@@ -42,6 +42,7 @@ from mbd_ros.jobs.workers.task import pack, unpack
 from mbd_ros.npz_file import read_arrays
 
 _KEYS = ("q", "v", "sweeps", "dt")  # of a checkpoint in a file, beside the number of a block
+_MOST_SWEEPS = 2**62  # that a block has done: more cannot be counted
 _LARGEST = 256  # chains of a block
 _FEWEST = 2  # blocks of a run
 _WISHED = 0.9  # acceptance
@@ -191,7 +192,13 @@ class Asked:
                 own += [*self.sampled.space.velocities(at.q, at.v)]
             return np.array(own)
 
-        return gone_on(ensemble, self.plan, order.number, start, measure, _shown)
+        found = gone_on(ensemble, self.plan, order.number, start, measure, _shown)
+        finite = np.isfinite(found.values).all(axis=(1, 2))
+        if not finite.all():
+            names = [name for name, _ in self.columns]
+            odd = names[int(np.argmin(finite))] if order.level is None else "the mean force"
+            raise DivergedError(f"{self.where}: {odd} of a sample is not finite")
+        return found
 
     def _starts(self, ensemble: Ensemble, order: Order, count: int) -> Array:
         q = self.sampled.start
@@ -401,13 +408,26 @@ def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkp
         if any(f"{key}{i}" not in found for key in _KEYS):
             raise DataError(f"{path}: has no block {i + 1} of {len(sizes)}: another run's")
         q, v, sweeps, dt = (found[f"{key}{i}"] for key in _KEYS)
-        if q.shape != size or v.shape != size:
+        if q.ndim == v.ndim == 2 and not q.shape == v.shape == size:
             raise DataError(
-                f"{path}: {q.shape[0]} coordinates of {q.shape[-1]} chains, this run has "
+                f"{path}: {q.shape[0]} coordinates of {q.shape[1]} chains, this run has "
                 f"{size[0]} of {size[1]}"
             )
-        if not (np.isfinite(q).all() and np.isfinite(v).all() and float(dt) > 0.0):
-            raise DataError(f"{path}: holds numbers that are not finite")
+        for key, array, shape, kinds in (
+            ("q", q, size, "f"),
+            ("v", v, size, "f"),
+            ("sweeps", sweeps, (), "iu"),
+            ("dt", dt, (), "f"),
+        ):
+            if array.shape != shape or array.dtype.kind not in kinds:
+                raise DataError(
+                    f"{path}: {key}{i} has shape {array.shape} of {array.dtype}, accepted: "
+                    f"{shape} of {'whole ' if 'i' in kinds else ''}numbers"
+                )
+        if not np.isfinite([*q.ravel(), *v.ravel(), dt]).all():
+            raise DataError(f"{path}: block {i + 1} holds numbers that are not finite")
+        if not (dt > 0.0 and 0 <= sweeps < _MOST_SWEEPS):
+            raise DataError(f"{path}: sweeps{i} is {sweeps} and dt{i} is {dt}, accepted: above 0")
         blocks.append(Checkpoint(q.astype(float), v.astype(float), int(sweeps), float(dt)))
     if len(found) != len(_KEYS) * len(sizes):
         raise DataError(f"{path}: is of a run with more chains")

@@ -28,7 +28,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.features.sampling.ensemble import Ensemble, Walkers
 from mbd_ros.features.sampling.space import inverse, log_determinant, solve
 
-_FEWEST = 8  # samples a chain whose average has an error
+_STILL = 1.0e-12  # of the whole variance, within chains that do not move
 _AVERAGED = 60  # coordinates up to which velocities are averaged over and not drawn
 _ROUNDED = 1.0e-9  # what differences of Jacobians leave, where samples do not scatter
 _NODES = 4  # of the polynomial that is integrated over an interval
@@ -155,13 +155,11 @@ def average(x: Array) -> Average:
     autocorrelations end).
 
     Args:
-        x: Values, shape (chains, samples).
+        x: Values, shape (chains, samples), of at least 8 samples.
     """
     halves = _halves(x)
     m, n = halves.shape
     mean = float(x.mean())
-    if n < _FEWEST // 2 or not np.isfinite(halves).all():
-        return Average(mean, np.nan, float(x.std()), np.nan, np.nan, np.nan)
     within = float(halves.var(axis=1, ddof=1).mean())
     between = float(halves.mean(axis=1).var(ddof=1))
     total = within * (n - 1) / n + between
@@ -171,7 +169,7 @@ def average(x: Array) -> Average:
     rho = 1.0 - (within - covariance * n / (n - 1)) / total
     time = _summed(rho)
     effective = min(m * n / time, float(m * n) * np.log10(max(m * n, 10)))
-    rhat = float(np.sqrt(total / within)) if within > 0.0 else np.inf
+    rhat = float(np.sqrt(total / max(within, _STILL * total)))
     return Average(
         mean, float(np.sqrt(total / effective)), float(np.sqrt(total)), time, effective, rhat
     )

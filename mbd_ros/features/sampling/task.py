@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Annotated, Any, Literal
 
 from mbd_ros.core.ranges import NotNegative, Positive, Within
@@ -10,6 +11,7 @@ from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema
 
 Count = Annotated[int, Within(1, 100_000_000)]
+Samples = Annotated[int, Within(8, 100_000_000)]  # fewer say nothing of the error of an average
 Chains = Annotated[int, Within(2, 1_000_000)]
 Seed = Annotated[int, Within(0, 2**63 - 1)]
 
@@ -25,7 +27,7 @@ class SampleTask:
         thermal_energy: kT, in place of it, in the unit of energy of the scene [J].
         method: `metropolis` is exact up to the error of sampling, `langevin` has an error that
             falls with the square of dt.
-        samples: Samples a chain.
+        samples: Samples a chain, enough for an error of averages.
         warmup: Samples a chain before them, which are not kept.
         steps: Steps between samples; None: 5 of particles, 20 of mechanisms.
         dt: Step; None chooses.
@@ -45,7 +47,7 @@ class SampleTask:
     thermal_energy: NotNegative | None = None
     method: Literal["metropolis", "langevin"] = "metropolis"
     chains: Chains = 64
-    samples: Count = 1000
+    samples: Samples = 1000
     warmup: Annotated[int, Within(0, 100_000_000)] = 200
     steps: Count | None = None
     dt: Positive | None = None
@@ -85,6 +87,9 @@ def sample_task(given: Any, where: str) -> SampleTask:
         raise SceneError(f"{where}.friction: {task.method} has none; accepted with langevin")
     if (task.coordinate is None) != (not task.at):
         raise SceneError(f"{where}: coordinate and at go together")
+    steps = [b - a for a, b in pairwise(task.at)]
+    if steps and not (min(steps) > 0.0 or max(steps) < 0.0):
+        raise SceneError(f"{where}.at: {task.at}, expected values that rise or fall")
     for name, bins in task.histograms.items():
         if len(bins) != 3 or not bins[0] < bins[1] or bins[2] not in range(1, 10_001):
             raise SceneError(f"{where}.histograms.{name}: {bins}, expected [low, high, number]")

@@ -5,6 +5,7 @@ import pytest
 
 import mbd_ros as mbd
 from mbd_ros.cli import main
+from mbd_ros.errors import DataError
 
 TRIMER = "particles/trimer"
 SMALL = {"temperature": 1.0, "chains": 8, "samples": 20, "warmup": 10, "components": False}
@@ -110,6 +111,11 @@ def test_a_row_as_coordinate_is_swept(capsys):
         ((TRIMER, "--temperature", 1, "--observe", "distance A Z"), "no particle 'Z'"),
         ((TRIMER, "--temperature", 1, "--observe", "bend A B"), "'bend A B' is no quantity"),
         ((TRIMER, "--temperature", 1, "--coordinate", "distance A C"), "coordinate and at go"),
+        ((TRIMER, "--temperature", 1, "--samples", 7), "sample.samples: 7 is out of range"),
+        (
+            (TRIMER, "--temperature", 1, "--coordinate", "distance A C", "--at", 1, 1),
+            "expected values that rise or fall",
+        ),
         (
             (TRIMER, "--temperature", 1, "--coordinate", "distance A C", "--at", 3),
             "cannot be brought",
@@ -125,3 +131,32 @@ def test_bad_input_is_one_clear_error(words, expected, capsys):
     assert code == 2
     assert expected in error
     assert len(error.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"q0": np.float64(1.0)}, "q0 has shape () of float64, accepted: (9, 4) of numbers"),
+        ({"q0": np.ones((9, 3))}, "9 coordinates of 3 chains, this run has 9 of 4"),
+        ({"v1": np.ones((9, 4), complex)}, "v1 has shape (9, 4) of complex128"),
+        ({"v0": np.full((9, 4), np.inf)}, "block 1 holds numbers that are not finite"),
+        ({"sweeps0": np.array([1, 2])}, "sweeps0 has shape (2,) of int64, accepted: () of whole"),
+        ({"sweeps0": np.float64(3.0)}, "sweeps0 has shape () of float64, accepted: () of whole"),
+        ({"sweeps1": np.int64(-1)}, "sweeps1 is -1 and dt1 is"),
+        ({"dt0": np.array("x")}, "dt0 has shape () of <U1"),
+        ({"dt0": np.float64(0.0)}, "and dt0 is 0.0, accepted: above 0"),
+        ({"dt1": None}, "has no block 2 of 2"),
+        ({"q2": np.ones(3)}, "is of a run with more chains"),
+    ],
+)
+def test_a_checkpoint_whose_arrays_are_others_is_refused(changes, message, tmp_path):
+    path, scene = tmp_path / "c.npz", mbd.load_scene(TRIMER)
+    arrays = {f"q{i}": np.zeros((9, 4)) for i in (0, 1)} | {
+        f"v{i}": np.zeros((9, 4)) for i in (0, 1)
+    }
+    arrays |= {"sweeps0": np.int64(9), "sweeps1": np.int64(9), "dt0": 0.1, "dt1": 0.1} | changes
+    np.savez(path, **{key: array for key, array in arrays.items() if array is not None})
+    with pytest.raises(DataError) as refused:
+        scene.sample(SMALL, workers=1, goes_on=path)
+    assert str(refused.value).startswith(f"{path}: ")
+    assert message in str(refused.value)
