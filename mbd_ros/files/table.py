@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.state import NANOSECOND, Array
-from mbd_ros.errors import DataError, install_hint
+from mbd_ros.errors import DataError, install_hint, printable
 from mbd_ros.files.formats import format_of, format_with, listed, suffix_of
 
 MAIN = "samples"  # the table that every job has
@@ -271,7 +271,12 @@ def read_result(path: str | Path, **options: Any) -> Result:
         DataError: An unknown suffix, or what is wrong with the file.
     """
     chosen: Format = format_of(path)
-    return chosen.read(Path(path), **options)
+    try:
+        return chosen.read(Path(path), **options)
+    except DataError as error:  # of a table that cannot be made, which knows no file
+        if printable(str(path)) in str(error):
+            raise
+        raise DataError(f"{path}: {error}") from error
 
 
 class Format(Protocol):

@@ -18,7 +18,7 @@ from mbd_ros.core.kinematics.poses import with_steady_signs
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION, POSE, TWIST, names_of
-from mbd_ros.files.formats import format_of, is_bag
+from mbd_ros.files.formats import is_bag
 from mbd_ros.files.laboratory.markers import SCREEN
 from mbd_ros.files.laboratory.storage import REMARKS, is_storage, joint_columns, other_labels
 from mbd_ros.files.recording import NO_BODIES, Recording
@@ -118,9 +118,9 @@ def _samples(
     """
     where = name_of(source)
     if not isinstance(source, Result):
-        path, chosen = Path(source), format_of(source)
+        path = Path(source)
         options = {"nan_allowed": may_lack.__contains__} if path.name.endswith(CSV) else {}
-        source = chosen.read(path, **options)
+        source = read_result(path, **options)
     if MAIN not in source:
         raise DataError(f"{where}: no table {MAIN}; there are: {', '.join(source) or 'none'}")
     table = source[prefers if prefers in source else MAIN]

@@ -33,6 +33,7 @@ from mbd_ros.features.identification.task import Identified, Task, keep_remarks
 from mbd_ros.files.output_folder import write_files
 from mbd_ros.files.table import Result, Table
 from mbd_ros.files.text_file import refuse_overwriting
+from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
@@ -188,8 +189,8 @@ def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned
         problem.shift(task.delay)
     for line in check_still(problem.where, movement(problem), problem.texts, task.partial):
         say(line)
-    about = allowed, _search(problem), problem.correlation
-    found = learn(problem.blocks, problem.columns, r, *about)
+    limits = allowed, _search(problem), problem.correlation
+    found = learn(problem.blocks, problem.columns, r, *limits)
     if found.delay:
         later = "later" if found.delay > 0 else "earlier"
         say(f"efforts come {abs(found.delay) * 1e3:.3g} ms {later} than the motion: taken out")
@@ -213,7 +214,8 @@ def _nearest(problem: Problem, found: Learned) -> Consistent:
     usual = np.array([joint.usual for joint in found.joints])
     least = np.maximum(LEAST_DEVIATION * usual, 0.1 * LEAST_DEVIATION * usual.max())
     A, b, is_signed = rows_by_worth(found.joints, found.fit, r, least)
-    return consistent(A, b, problem.base.matrix, problem.given, is_signed)
+    with about(problem.where):
+        return consistent(A, b, problem.base.matrix, problem.given, is_signed)
 
 
 def movement(problem: Problem) -> list[tuple[str, float, str]]:

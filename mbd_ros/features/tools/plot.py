@@ -3,6 +3,7 @@
 import argparse
 
 from mbd_ros.errors import OK, DataError
+from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import say
 from mbd_ros.scene.schema.locate import path_word
 
@@ -47,6 +48,8 @@ def run(arguments: argparse.Namespace) -> int:
             raise DataError("--power-flow chooses its columns; accepted: it or --columns")
         save(power_flow(result, arguments.table), arguments.out)
     else:
-        result.to(arguments.out, among=PICTURES, table=arguments.table, columns=arguments.columns)
+        options = {"table": arguments.table, "columns": arguments.columns}
+        with about(arguments.result):
+            result.to(arguments.out, among=PICTURES, **options)
     say(f"{result[arguments.table].rows} rows -> {arguments.out}")
     return OK

@@ -24,6 +24,7 @@ from mbd_ros.features.identification.regression import Learned, Search, learn
 from mbd_ros.features.identification.samples import check_excitation, check_length
 from mbd_ros.features.identification.task import Task, keep_remarks
 from mbd_ros.files.table import Column, Result, Table
+from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, watching
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
@@ -143,8 +144,8 @@ def _fitted(scene: Scene, task: Task, place: int, frame: str, say: Say) -> _Foun
     r = len(problem.base.chosen)
     known = {str(entry.get("joint")) for entry in _friction(scene)}
     beside = _BESIDE if known else (*_BESIDE, "viscous")
-    about = Search(0.0, 0.0), problem.correlation
-    found = learn(problem.blocks, problem.columns, r, beside, *about)
+    limits = Search(0.0, 0.0), problem.correlation
+    found = learn(problem.blocks, problem.columns, r, beside, *limits)
     check_length(problem.where, found.joints, r + sum(map(len, found.fit.taken)), problem.seconds)
     pairs = zip(found.joints, found.fit.deviation, strict=True)
     rows = np.concatenate([joint.R[:, :r] / sigma for joint, sigma in pairs])
@@ -191,7 +192,8 @@ def _body(problem: Problem, found: Learned, own: Array, B: Array) -> Array:
     ball = np.array([[mass, *(mass * centre), *tensor]])
     least = np.array([LEAST_DEVIATION * joint.usual for joint in found.joints])
     A, b, is_signed = rows_by_worth(found.joints, fit, r, least)
-    nearest = consistent(A, b, own, ball, is_signed)
+    with about(problem.where):
+        nearest = consistent(A, b, own, ball, is_signed)
     numbers: Array = B @ nearest.inertial[0]
     return numbers
 
