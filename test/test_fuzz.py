@@ -5,12 +5,13 @@ import random
 
 import pytest
 from fuzz import tables, urdf
-from fuzz.run import KINDS, SCENE, SHARES, case_of, two_joints
-from fuzz.trial import Case, behaves, faults
+from fuzz.kinds import KINDS, RANDOM, SCENE, case_of, read_by, readers, seeds_of
+from fuzz.run import FEWEST
+from fuzz.trial import Case, behaves, tried
 
 ONE_LINK = "<robot name='r'><link name='l0'/></robot>"
 PENDULUM = urdf.robot(random.Random(0), 1)
-TWO = two_joints()
+TWO = urdf.two_joints()
 
 
 @pytest.fixture(autouse=True)
@@ -33,11 +34,31 @@ def motion_case(table, derivatives, robot=PENDULUM.text):
     return Case(words, {"s.yaml": SCENE, "r.urdf": robot.encode(), "m.csv": table}, "o.csv")
 
 
+def cases_of(kind):
+    """Cases of a short run; those of random scenes are cheap, and often refused."""
+    return [f"{kind}:{i}" for i in range(40 if kind in RANDOM else 6)]
+
+
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_short_run_finds_nothing(kind):
-    names = [f"{kind}:{i}" for i in range(20 * SHARES[kind])]
-    found = {name: wrong for name in names if (wrong := faults(case_of(name)))}
-    assert found == {}, "python -m fuzz.run --only KIND:SEED repeats one"
+def test_a_short_run_finds_nothing_and_reaches_what_is_behind_the_reader(kind):
+    outcomes = {name: tried(case_of(name)) for name in cases_of(kind)}
+    wrong = {name: outcome.faults for name, outcome in outcomes.items() if outcome.faults}
+    assert wrong == {}, "python -m fuzz.run --only KIND:SEED repeats one"
+    passed = sum(outcome.passed for outcome in outcomes.values())
+    assert passed >= FEWEST * len(outcomes), "the mutations of this kind are all refused"
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in RANDOM])
+def test_seeds_are_sound(kind):
+    for seed in seeds_of(kind):
+        outcome = tried(Case(seed.words, seed.files, seed.out, seed.behind))
+        assert (outcome.passed, outcome.faults) == (True, []), seed.words
+
+
+def test_each_reader_has_a_seed():
+    """But for those that start nodes, or take minutes, behind a reader of another kind."""
+    reached = {reader for kind in KINDS for seed in seeds_of(kind) for reader in read_by(seed)}
+    assert readers() - reached == {"replay bag", "report readme"}
 
 
 J = PENDULUM.joints[0]

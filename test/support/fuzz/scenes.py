@@ -9,10 +9,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from fuzz import urdf
+from fuzz.documents import change_value
 from fuzz.values import NUMBERS, anything, spoil_text
 
 from mbd_ros.scene.schema.registry import PARTS, resolve
-from mbd_ros.scene.schema.sections import SECTIONS, keys
 
 LISTS = ("constraints", "forces", "actuators")
 CHOICES = {  # words that a key accepts
@@ -31,10 +31,11 @@ class Scene(NamedTuple):
 
 def mutated(rng: random.Random) -> Scene:
     """A scene of random parts, mostly with some fault."""
-    robot = urdf.robot(rng) if rng.random() < 0.95 else urdf.mutated(rng)
+    is_mild = rng.random() < 0.4
+    robot = urdf.robot(rng) if is_mild or rng.random() < 0.95 else urdf.mutated(rng)
     given: dict[str, Any] = {"robot": {"urdf": "r.urdf"}}
-    nastiness = rng.choice((0.0, 0.05, 0.3))
-    for _ in range(rng.choice((0, 1, 1, 2, 3))):
+    nastiness = 0.0 if is_mild else rng.choice((0.0, 0.05, 0.3))
+    for _ in range(rng.choice((0, 1, 1) if is_mild else (1, 1, 2, 3))):
         section = rng.choice(LISTS)
         given.setdefault(section, []).append(_part(rng, section, robot, nastiness))
     for section in ("integrator", "stabilization"):
@@ -43,10 +44,10 @@ def mutated(rng: random.Random) -> Scene:
                 rng, {"integrator": "integrators"}.get(section, section), robot, nastiness
             )
     _fill(rng, given, robot, nastiness)
-    for _ in range(rng.choice((0, 0, 1, 2))):
-        _spoil(rng, given)
+    for _ in range(0 if is_mild else rng.choice((0, 1, 2))):
+        change_value(rng, given, mild=False)
     text = json.dumps(given, ensure_ascii=rng.random() < 0.5)
-    for _ in range(rng.choice((0, 0, 0, 0, 0, 1))):
+    if not is_mild and rng.random() < 0.2:
         text = spoil_text(rng, text)
     return Scene(text, robot.text)
 
@@ -198,30 +199,3 @@ def _number(rng: random.Random, nastiness: float) -> Any:
     if rng.random() < nastiness:
         return rng.choice(NUMBERS)
     return rng.choice((round(rng.uniform(-1, 1), 3), 0.1, 1.0, 0.5, round(rng.uniform(0, 50), 2)))
-
-
-def _spoil(rng: random.Random, given: dict[str, Any]) -> None:
-    """Another value, a key less, more or renamed, somewhere in the tree."""
-    places = list(_places(given))
-    if not places:
-        return
-    holder, key = rng.choice(places)
-    draw = rng.random()
-    if draw < 0.6:
-        holder[key] = anything(rng)
-    elif draw < 0.75:
-        del holder[key]
-    elif isinstance(holder, dict):
-        word = anything(rng)
-        new = rng.choice((*keys(SECTIONS), "type", "joint", str(word)))
-        holder[new] = anything(rng) if draw < 0.9 else holder.pop(key)
-    else:
-        holder.extend([holder[key]] * rng.choice((1, 2, 30)))
-
-
-def _places(value: Any) -> Any:
-    pairs = value.items() if isinstance(value, dict) else enumerate(value)
-    for key, inner in list(pairs):
-        yield value, key
-        if isinstance(inner, dict | list):
-            yield from _places(inner)

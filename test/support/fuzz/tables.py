@@ -1,11 +1,13 @@
-"""Motions and loads in tables: sound ones, and what becomes of them."""
+"""Tables and other lines of numbers: motions, markers, positions, meshes as text."""
 
-import gzip
 import random
+import re
 
-from fuzz.values import WORDS, number, spoil_bytes
+from fuzz.values import WORDS, near, number, spoil_bytes
 
 FIELDS = ("position", "velocity", "acceleration", "effort")
+_NUMBER = re.compile(rb"-?\d+\.(\d+)")
+_BETWEEN = re.compile(rb"[,\t ]+")
 
 
 def table(rng: random.Random, joints: tuple[str, ...], rows: int = 6) -> bytes:
@@ -18,25 +20,42 @@ def table(rng: random.Random, joints: tuple[str, ...], rows: int = 6) -> bytes:
     return ("\n".join(lines) + "\n").encode()
 
 
-def mutated(rng: random.Random, joints: tuple[str, ...]) -> tuple[str, bytes]:
-    """Name and bytes of a motion with some faults."""
-    data = table(rng, joints, rng.choice((1, 2, 6, 20)))
-    for _ in range(rng.randint(0, 2)):
-        data = rng.choice((_cell, _cell, _cell, _header, spoil_bytes, _strange))(rng, data)
-    if rng.random() < 0.85:
-        return "m.csv", data
-    packed = gzip.compress(data, 1, mtime=0)
-    return "m.csv.gz", spoil_bytes(rng, packed) if rng.random() < 0.5 else packed
+def lines(rng: random.Random, data: bytes, mild: bool) -> bytes:
+    """Lines with other numbers, names and order."""
+    if mild:
+        return _near(rng, data)
+    for _ in range(rng.randint(1, 2)):
+        data = rng.choice((_cell, _cell, _cell, _header, _line, spoil_bytes, _strange))(rng, data)
+    return data
+
+
+def _near(rng: random.Random, data: bytes) -> bytes:
+    """A number a little larger or smaller, as wide as before."""
+    numbers = list(_NUMBER.finditer(data))
+    if not numbers:
+        return data
+    there = rng.choice(numbers)
+    text = f"{near(rng, float(there.group())):.{len(there.group(1))}f}".encode()
+    return data[: there.start()] + text.rjust(len(there.group())) + data[there.end() :]
 
 
 def _cell(rng: random.Random, data: bytes) -> bytes:
-    lines = data.split(b"\n")
-    line = rng.randrange(len(lines))
-    cells = lines[line].split(b",")
+    every = data.split(b"\n")
+    line = rng.randrange(len(every))
+    cells, gaps = _BETWEEN.split(every[line]), _BETWEEN.findall(every[line])
     word = number(rng) if rng.random() < 0.7 else rng.choice(WORDS)
     cells[rng.randrange(len(cells))] = word.encode("utf-8", "surrogatepass")
-    lines[line] = b",".join(cells)
-    return b"\n".join(lines)
+    every[line] = b"".join(c + g for c, g in zip(cells, [*gaps, b""], strict=True))
+    return b"\n".join(every)
+
+
+def _line(rng: random.Random, data: bytes) -> bytes:
+    """A line less, twice or elsewhere."""
+    every = data.split(b"\n")
+    line = every.pop(rng.randrange(len(every)))
+    for _ in range(rng.choice((0, 1, 2))):
+        every.insert(rng.randint(0, len(every)), line)
+    return b"\n".join(every)
 
 
 def _header(rng: random.Random, data: bytes) -> bytes:

@@ -2,11 +2,11 @@
 
 import contextlib
 import csv
-import gzip
 import io
-import math
+import os
 import re
 import signal
+import sys
 import tempfile
 import traceback
 import warnings
@@ -14,23 +14,47 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 from mbd_ros import cli
+from mbd_ros.errors import MbdError
+from mbd_ros.files.formats import FORMATS, PICTURES
+from mbd_ros.files.table import read_result
+from mbd_ros.nodes.shell.params_file import file_warnings
 
-SECONDS = 10.0
+SECONDS = 10.0  # of work: others may use the machine, too
+PATIENCE = 120.0  # s in all, for one that waits and does not work
 LONGEST = 2000  # characters of a message
-NOT_FINITE = re.compile(r"(?<![\w.])[-+]?(nan|inf)(?![\w.])", re.IGNORECASE)
+NOT_FINITE = re.compile(r"(?<![\w.])(?<!\.\. )[-+]?(nan|inf)(?![\w.]| \.\.)", re.IGNORECASE)
 CONTROL = re.compile(r"[^\n\x20-\x7e\xa0-\u2027\u202f-\u2065\u2070-\ufefe\uff00-\U0010ffff]")
 EARLIER = b"time,earlier\n0.0,1.0\n"
 
 
 class Case(NamedTuple):
-    """Words of a command, files by name, and the name of its result, if any."""
+    """Words of a command, and files by name.
+
+    Attributes:
+        out: Name of its result, with a slash behind it for a folder; empty without one.
+        behind: Regular expression of a refusal that comes when all files have been read.
+    """
 
     words: tuple[str, ...]
     files: Mapping[str, bytes]
     out: str = ""
+    behind: str = ""
+
+
+class Outcome(NamedTuple):
+    """What became of a case.
+
+    Attributes:
+        faults: What the command did wrong, by its kind; empty for one that behaved.
+        passed: Whether it has read its files.
+    """
+
+    faults: list[str]
+    passed: bool
 
 
 class Ended(NamedTuple):
@@ -43,36 +67,63 @@ class Hang(BaseException):
     """Not an Exception, so that nothing takes it for a fault of the input."""
 
 
-def faults(case: Case, folder: Path | None = None) -> list[str]:
-    """What a command did wrong, by its kind: empty for one that behaved."""
+def faults(case: Case) -> list[str]:
+    """What a command did wrong."""
+    return tried(case).faults
+
+
+def tried(case: Case, folder: Path | None = None) -> Outcome:
+    """Run a case in a folder of its own, which stands in another one that has to stay as it is."""
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="fuzz") as place:
-            return faults(case, Path(place))
+            return tried(case, Path(place))
+    inside, before = folder / "case", Path.cwd()
     for name, data in case.files.items():
-        (folder / name).parent.mkdir(exist_ok=True)
-        (folder / name).write_bytes(data)
-    out = folder / case.out if case.out else None
-    if out is not None:
+        (inside / name).parent.mkdir(exist_ok=True, parents=True)
+        (inside / name).write_bytes(data)
+    out = inside / case.out if case.out else None
+    if out is not None and not case.out.endswith("/"):
         out.write_bytes(EARLIER)
-    before = {path.name for path in folder.iterdir()}
+    there = _files_of(folder)
     try:
-        ended, noise = _run([word.replace("@", f"{folder}/") for word in case.words])
+        os.chdir(inside)  # where relative names lead that are taken as they are
+        ended, noise = _run([word.replace("@", f"{inside}/", 1) for word in case.words])
     except Hang:
-        return [f"hang: more than {SECONDS:g} s"]
+        return Outcome([f"hang: more than {SECONDS:g} s of work"], passed=False)
     except Exception as error:  # noqa: BLE001 - whatever it is, it is a finding
-        return [_where(error)]
-    new = {p.name for p in folder.iterdir()} - before
-    return [
-        *_of_streams(ended, noise, str(folder), b"".join(case.files.values())),
-        *_of_result(ended.code, out),
-        *(f"left behind: {name}" for name in new if "diverged" not in name),
-    ]
+        return Outcome([_where(error)], passed=False)
+    finally:
+        os.chdir(before)
+    new = _files_of(folder) - there
+    left = (name for name in new if "diverged" not in name and not _belongs(name, case.out, ended))
+    is_behind = bool(case.behind and re.search(case.behind, ended.told))
+    return Outcome(
+        [
+            *_of_streams(ended, noise, str(inside), b"".join(case.files.values()), is_behind),
+            *(_of_result(ended.code, out) if out is not None else ()),
+            *(f"left behind: {name}" for name in left),
+        ],
+        passed=ended.code < 2 or is_behind,
+    )
+
+
+def _files_of(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
+
+
+def _belongs(name: str, out: str, ended: "Ended") -> bool:
+    """Whether a new file is a result: one in the folder of it, or a table beside it."""
+    if ended.code == 2 or not out:
+        return False
+    return name.startswith(f"case/{out if out.endswith('/') else out.partition('.')[0]}")
 
 
 def _run(words: list[str]) -> tuple[Ended, list[str]]:
     said, told = io.StringIO(), io.StringIO()
-    before = signal.signal(signal.SIGALRM, _hang)
-    signal.setitimer(signal.ITIMER_REAL, SECONDS)
+    alarms = {signal.SIGPROF: signal.ITIMER_PROF, signal.SIGALRM: signal.ITIMER_REAL}
+    before = {alarm: signal.signal(alarm, _hang) for alarm in alarms}
+    signal.setitimer(signal.ITIMER_PROF, SECONDS)
+    signal.setitimer(signal.ITIMER_REAL, PATIENCE)
     try:
         with (
             warnings.catch_warnings(record=True) as noise,
@@ -81,13 +132,27 @@ def _run(words: list[str]) -> tuple[Ended, list[str]]:
         ):
             warnings.simplefilter("always")
             try:
-                code = cli.main(words)
+                code = _program(words)
             except SystemExit as end:
                 code = int(end.code or 0)
     finally:
-        signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGALRM, before)
+        for alarm, timer in alarms.items():
+            signal.setitimer(timer, 0.0)
+            signal.signal(alarm, before[alarm])
     return Ended(code, said.getvalue(), told.getvalue()), [_warned(w) for w in noise]
+
+
+def _program(words: list[str]) -> int:
+    """A command, or what nodes do with a file of parameters before they start."""
+    if words[0] != "params-file":
+        return cli.main(words)
+    try:
+        warned = file_warnings(["--params-file", words[1]], "/simulator")
+    except MbdError as error:
+        sys.stderr.write(f"{error}\n")
+        return 2
+    sys.stdout.write("\n".join(warned))
+    return 0
 
 
 def _hang(signum: int, frame: object) -> None:
@@ -106,11 +171,17 @@ def _where(error: Exception) -> str:
     return f"traceback: {type(error).__name__} in {at}: {str(error)[:100]!r}"
 
 
-def _of_streams(ended: Ended, noise: list[str], folder: str, given: bytes) -> list[str]:
+def _of_streams(
+    ended: Ended, noise: list[str], folder: str, given: bytes, is_behind: bool
+) -> list[str]:
     found, lines = list(dict.fromkeys(noise)), (ended.said + ended.told).splitlines()
     if ended.code not in (0, 1, 2):
         found.append(f"exit {ended.code}")
-    if ended.code and not (folder in ended.told or "--" in ended.told or "-t:" in ended.told):
+    if (
+        ended.code
+        and not is_behind
+        and not (folder in ended.told or "--" in ended.told or "-t:" in ended.told)
+    ):
         found.append(f"names no file: {ended.told[:200]!r}")
     longest = max(map(len, lines), default=0)
     if longest > LONGEST:
@@ -127,23 +198,39 @@ def _of_streams(ended: Ended, noise: list[str], folder: str, given: bytes) -> li
     return found
 
 
-def _of_result(code: int, out: Path | None) -> list[str]:
-    if out is None:
-        return []
+def _of_result(code: int, out: Path) -> list[str]:
+    """What is wrong with a file that was there before, or with a new folder."""
+    if out.name == "o":
+        texts = (path for path in out.glob("*") if path.suffix in (".yaml", ".urdf", ".csv"))
+        words = {path.name: NOT_FINITE.search(path.read_text()) for path in texts}
+        return [f"exit {code} with {word.group()} in {n}" for n, word in words.items() if word]
     data = out.read_bytes()
+    if code == 2:
+        return [] if data == EARLIER else ["exit 2, and the earlier result is replaced"]
     if code:
-        return [] if data == EARLIER else [f"exit {code}, and the earlier result is replaced"]
+        return []
     if data == EARLIER:
         return ["exit 0 without a result"]
-    text = (gzip.decompress(data) if out.suffix == ".gz" else data).decode()
-    rows = list(csv.reader(text.splitlines()))
-    if len(rows) < 2:
-        return ["exit 0 with an empty result"]
-    for row in rows[1:]:
-        for name, cell in zip(rows[0], row, strict=True):
-            if not math.isfinite(float(cell)):
-                return [f"exit 0 with {cell} in the result, column {name[:60]!r}"]
+    if out.suffix not in FORMATS or out.suffix in PICTURES:
+        return [] if data else ["exit 0 with an empty result"]
+    tables = {"samples": _columns(data)} if out.suffix == ".csv" else read_result(out).tables
+    for name, table in tables.items():
+        if not len(next(iter(table.values()), ())):
+            return [f"exit 0 with an empty table {name}"]
+        for column, values in table.items():
+            if values.dtype.kind == "f" and not np.isfinite(values).all():
+                return [f"exit 0 with numbers that are not finite in column {column[:60]!r}"]
     return []
+
+
+def _columns(data: bytes) -> dict[str, np.ndarray]:
+    """The columns of numbers of a table as text, which need not be a motion."""
+    head, *rows = csv.reader(data.decode().splitlines())
+    columns = {}
+    for name, *cells in zip(head, *rows, strict=True):
+        with contextlib.suppress(ValueError):  # of a column of words
+            columns[name] = np.array([float(cell) for cell in cells])
+    return columns
 
 
 def behaves(case: Case) -> None:

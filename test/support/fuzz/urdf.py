@@ -1,6 +1,7 @@
 """Robot descriptions: sound ones of random shape, and what becomes of them."""
 
 import random
+from functools import cache
 from typing import NamedTuple
 
 from fuzz.values import NUMBERS, WORDS, number, spoil_text
@@ -48,6 +49,17 @@ def _joint(
         f"<origin xyz='0 0.1 0.3' rpy='0 0 0'/><axis xyz='{axis}'/>"
         f"<limit lower='-2' upper='2' effort='30' velocity='10'/>{mimic}</joint>"
     )
+
+
+@cache
+def two_joints() -> str:
+    """A description of the joints j1 and j2, none of which follows the other."""
+    seed = 0
+    while True:
+        described = robot(random.Random(seed), 2)
+        if described.joints == ("j1", "j2") and "<mimic" not in described.text:
+            return described.text
+        seed += 1
 
 
 def mutated(rng: random.Random) -> Described:

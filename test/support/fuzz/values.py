@@ -27,7 +27,19 @@ NUMBERS = (
 WORDS = (
     *("", "nan", ".nan", "inf", "-.inf", "1e999", "1_000", "0x10", "true", "null", "~", "é", "١"),
     *("\x1b[2J\x1b[31mred", "a\x00b", "a\nb: c", "a\rb", "\u202eabc", "\ud7ff", "\ufeff", "\x7f"),
-    *("x" * 300, "y" * 5000, "..", "/", "/dev/null", "all", "universe", "world", "*a", "&a b"),
+    *(
+        "x" * 300,
+        "y" * 5000,
+        "..",
+        "/",
+        "/dev/null",
+        "../outside",
+        "all",
+        "universe",
+        "world",
+        "*a",
+        "&a b",
+    ),
     *("!!python/object/apply:os.system [ls]", "os:system", "{", "[", "'", '"', "%s", "{0}", ","),
 )
 
@@ -35,6 +47,11 @@ WORDS = (
 def number(rng: random.Random) -> str:
     """A number as text, mostly an ordinary one."""
     return repr(rng.choice(NUMBERS) if rng.random() < 0.7 else round(rng.uniform(-2, 2), 3))
+
+
+def near(rng: random.Random, value: float) -> float:
+    """A number that is as good as another."""
+    return value * rng.uniform(0.99, 1.01)
 
 
 def anything(rng: random.Random) -> Any:
