@@ -1,7 +1,8 @@
 """Regular files, opened for reading without waiting.
 
 A FIFO without a writer stops whoever opens it, and a device may never end. Both are refused before
-anything is read, and so are sockets and directories. Symbolic links are followed.
+anything is read, and so are sockets and directories. Symbolic links are followed where nobody says
+otherwise.
 """
 
 import errno
@@ -16,17 +17,19 @@ _WORDS = {
     stat.S_IFDIR: "a directory",
     stat.S_IFCHR: "a device",
     stat.S_IFBLK: "a device",
+    stat.S_IFLNK: "a symbolic link",
 }
 
 
-def open_regular(path: str | Path) -> BufferedReader:
+def open_regular(path: str | Path, *, follow_links: bool = True) -> BufferedReader:
     """Open a regular file for reading.
 
     Raises:
         OSError: It is absent, not readable or not a regular file; `strerror` says which.
     """
-    check_regular(path)  # first, since opening a device may act on it
-    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY)
+    check_regular(path, follow_links=follow_links)  # first, since opening a device may act on it
+    flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | os.O_NOCTTY
+    descriptor = os.open(path, flags if follow_links else flags | os.O_NOFOLLOW)
     try:
         _check_mode(os.fstat(descriptor).st_mode, path)
         return os.fdopen(descriptor, "rb")
@@ -35,14 +38,14 @@ def open_regular(path: str | Path) -> BufferedReader:
         raise
 
 
-def check_regular(path: str | Path) -> None:
-    """Refuse what is not a regular file, before a library opens it by its path.
+def check_regular(path: str | Path, *, follow_links: bool = True) -> None:
+    """Refuse what is not a regular file, before something else opens it by its path.
 
     Raises:
         OSError: It is absent or not a regular file; `strerror` says which.
     """
     try:
-        mode = os.stat(path).st_mode
+        mode = os.stat(path, follow_symlinks=follow_links).st_mode
     except ValueError as error:  # a path that no file can have
         raise OSError(errno.EINVAL, f"no file can have this name: {error}", str(path)) from error
     _check_mode(mode, path)

@@ -231,11 +231,18 @@ def opened(library, _):
 
 
 def linked(library, folder):
+    """To a good one, which may be another one later."""
     library.rename(folder / "elsewhere.so")
-    library.symlink_to(folder / "missing.so")
+    library.symlink_to(folder / "elsewhere.so")
 
 
-@pytest.mark.parametrize("spoil", [cut, emptied, changed, replaced, opened, linked])
+def piped(library, _):
+    """Nobody writes to it: who opens it to read waits for ever."""
+    library.unlink()
+    os.mkfifo(library)
+
+
+@pytest.mark.parametrize("spoil", [cut, emptied, changed, replaced, opened, linked, piped])
 def test_an_entry_that_cannot_be_trusted_is_built_again(cache, tmp_path, spoil):
     assert squared() == 18.0
     spoil(entry(cache), tmp_path)
@@ -252,6 +259,59 @@ def test_a_folder_in_the_place_of_an_entry_is_passed_by(cache):
     path.mkdir()
     said = []
     assert squared(said) == 18.0 and said[-1].startswith("not kept: ")
+
+
+def lock_linked(lock, folder):
+    (folder / "precious").write_text("precious")
+    lock.symlink_to(folder / "precious")
+
+
+def lock_piped(lock, _):
+    os.mkfifo(lock)
+
+
+def lock_folder(lock, _):
+    lock.mkdir()
+
+
+@pytest.mark.parametrize(
+    ("plant", "kind"),
+    [(lock_linked, "a symbolic link"), (lock_piped, "a FIFO"), (lock_folder, "a directory")],
+)
+def test_what_is_no_lock_is_passed_by(cache, tmp_path, plant, kind):
+    squared()
+    library = entry(cache)
+    library.unlink()
+    lock = library.with_suffix(".lock")
+    lock.unlink()
+    plant(lock, tmp_path)
+    said = []
+    assert squared(said) == 18.0 and not library.exists()
+    assert said[-1] == f"not kept: {lock}: it is {kind}, not a regular file"
+    if kind == "a symbolic link":
+        assert (tmp_path / "precious").read_text() == "precious"
+
+
+@pytest.mark.parametrize("above", [0, 1])
+def test_a_cache_folder_that_is_a_link_is_passed_by(cache, tmp_path, above):
+    squared()
+    folder = [cache, cache.parent][above]
+    folder.rename(tmp_path / "elsewhere")
+    folder.symlink_to(tmp_path / "elsewhere")
+    said = []
+    assert squared(said) == 18.0
+    assert said[-1] == f"not kept: {folder} is a symbolic link, which is not followed"
+
+
+def test_a_link_in_the_place_of_a_part_is_not_followed(cache, tmp_path):
+    squared()
+    library = entry(cache)
+    library.unlink()
+    (tmp_path / "precious").mkdir()
+    (tmp_path / "precious/file").touch()
+    library.with_suffix(".left.part").symlink_to(tmp_path / "precious")
+    assert squared() == 18.0 and entry(cache) == library
+    assert (tmp_path / "precious/file").exists()
 
 
 @pytest.mark.parametrize("mode", [0o777, 0o770])

@@ -55,7 +55,15 @@ ALLOWED = {
     "msg_adapters": {"numpy", "msg_adapters"},
     CORE: {*MATH, "mbd_ros"},
     METHODS: {*MATH, "mbd_ros"},
-    "mbd_ros.compiled": {*MATH, "casadi", "mbd_ros.errors", CORE, METHODS, "mbd_ros.compiled"},
+    "mbd_ros.compiled": {
+        *MATH,
+        "casadi",
+        "mbd_ros.errors",
+        *FILE_READERS,
+        CORE,
+        METHODS,
+        "mbd_ros.compiled",
+    },
     "mbd_ros.scene": {
         *MATH,
         "yaml",

@@ -3,7 +3,7 @@
 A library stands in the folder under its key, with a digest of key and content at its end: what was
 cut, changed or copied from elsewhere is built again and never executed. It is written beside and
 put in place in one step, under a lock, so that processes that want the same one wait for one
-another and one that was killed leaves nothing that counts.
+another and one that was killed leaves nothing that counts. Links in the folder are not followed.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ import numpy as np
 from mbd_ros.compiled.build.compiler import FLAGS, BuildError, Compiler, cpu, find_compiler
 from mbd_ros.compiled.code.source import Signature, Source
 from mbd_ros.core.state import Array
+from mbd_ros.regular_file import check_regular, open_regular
 
 Say = Callable[[str], None]
 Build = Callable[[Path], Path]
@@ -78,7 +79,7 @@ def load(source: Source, say: Say = _silent, check: Check = _trusted) -> Library
         except (OSError, BuildError) as error:
             with private() as folder:
                 library = Library(source, build(folder).read_bytes(), compiler.name)
-            say(f"not kept: {str(error).splitlines()[0]}")
+            say(f"not kept: {_reason(error)}")
             check(library)
             return library
         try:
@@ -90,6 +91,12 @@ def load(source: Source, say: Say = _silent, check: Check = _trusted) -> Library
         else:
             break
     return library
+
+
+def _reason(error: OSError | BuildError) -> str:
+    if isinstance(error, OSError) and error.filename is not None:
+        return f"{error.filename}: {error.strerror}"
+    return str(error).splitlines()[0]
 
 
 def kept(key: str, build: Build, say: Say, *, again: bool = False) -> bytes:
@@ -143,11 +150,14 @@ def cache_folder() -> Path:
 
 
 def _check(folder: Path) -> None:
-    """Whether only the user can write to a folder.
+    """Refuse a folder that is a link, or that somebody else can write to.
 
     Raises:
-        BuildError: Somebody else can.
+        BuildError: It is, or somebody can.
     """
+    for own in (folder.parent, folder):
+        if own.is_symlink():
+            raise BuildError(f"{own} is a symbolic link, which is not followed")
     status = folder.stat()
     if status.st_uid != os.geteuid():
         raise BuildError(f"{folder} belongs to another user")
@@ -158,18 +168,17 @@ def _check(folder: Path) -> None:
 def _intact(library: Path, key: str) -> bytes | None:
     """The library that was put in a place under this key by the user, None without."""
     try:
-        with library.open("rb") as file:
+        with open_regular(library, follow_links=False) as file:
             status = os.fstat(file.fileno())
             content = file.read()
+            with suppress(OSError):  # where nothing can be written
+                os.utime(file.fileno())
     except OSError:
         return None
     others = status.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
-    own = stat.S_ISREG(status.st_mode) and status.st_uid == os.geteuid() and not others
     found, digest = content[:-_DIGEST], content[-_DIGEST:]
-    if not own or digest != _digest(key, found):
+    if status.st_uid != os.geteuid() or others or digest != _digest(key, found):
         return None
-    with suppress(OSError):
-        os.utime(library)
     return found
 
 
@@ -179,8 +188,15 @@ def _digest(key: str, content: bytes) -> bytes:
 
 @contextmanager
 def _lock(path: Path, say: Say) -> Iterator[None]:
-    """Waits until no other process builds the same; file systems without locks do not wait."""
-    with path.open("w") as file:
+    """Waits until no other process builds the same; file systems without locks do not wait.
+
+    Raises:
+        OSError: Something else is in the place of the lock, or it cannot be made.
+    """
+    with suppress(FileNotFoundError):
+        check_regular(path, follow_links=False)
+    flags = os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+    with open(os.open(path, flags, 0o600), "wb") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
@@ -196,7 +212,7 @@ def _remove_unused(folder: Path) -> None:
     before = time.time() - _UNUSED
     for path in (*folder.glob("*.so"), *folder.glob("*.lock")):
         with suppress(OSError):
-            if path.stat().st_mtime < before:
+            if path.lstat().st_mtime < before:
                 path.unlink()
 
 
