@@ -11,7 +11,7 @@ from pathlib import Path
 
 import casadi as ca
 import pytest
-from deadline import DEADLINE
+from deadline import DEADLINE, until
 
 from mbd_ros.compiled.build import library as building
 from mbd_ros.compiled.build.compiler import BuildError
@@ -81,13 +81,6 @@ def start(*before, **more):
     return subprocess.Popen(
         words, text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **more
     )
-
-
-def until(met):
-    end = time.monotonic() + DEADLINE
-    while not met():
-        assert time.monotonic() < end
-        time.sleep(0.02)
 
 
 def test_the_second_time_nothing_is_compiled(cache):

@@ -4,12 +4,11 @@ import os
 import re
 import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
 import rclpy
-from deadline import DEADLINE
+from deadline import DEADLINE, until
 from nodes.demo_command import command
 from nodes.probe import Probe
 from rclpy.context import Context
@@ -51,10 +50,8 @@ def interrupted(tmp_path, act):
         text=True,
         start_new_session=True,
     ) as running:
-        end = time.monotonic() + DEADLINE
-        while len(nodes := children(running.pid)) < 3:
-            assert running.poll() is None and time.monotonic() < end
-            time.sleep(0.05)
+        until(lambda: running.poll() is not None or len(children(running.pid)) == 3)
+        nodes = children(running.pid)
         wait_until_time_runs(nodes["simulator"])
         act(running.pid, nodes)
         said = running.stderr.read()

@@ -5,6 +5,7 @@ import time
 
 import numpy as np
 import pytest
+from deadline import PATIENT
 from geometry_msgs.msg import WrenchStamped
 from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.simulation_client import DEEP
@@ -82,7 +83,7 @@ def press(probe, start_node, tmp_path):
     """A function that starts the node and the machine that it hears."""
 
     def start(**parameters):
-        given = {"scene": "press", "timeout": 60.0, "reactions": "[all]", **parameters}
+        given = {"scene": "press", **PATIENT, "reactions": "[all]", **parameters}
         file = parameter_file(tmp_path, given)
         node = start_node(arguments=("--params-file", str(file)), target=TARGET)
         node.wait_for(ACTIVE)

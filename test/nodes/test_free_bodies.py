@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from deadline import PATIENT
 from geometry_msgs.msg import WrenchStamped
 from mechanisms import floating_body
 from nav_msgs.msg import Odometry
@@ -94,7 +95,7 @@ def live(domain, folder, text):
     options = {"lock_step": "true", "publish_clock": "true"}
     with simulated(domain, folder, text, **options) as client:
         (own := folder / "inverse").mkdir()
-        tuned = {"use_sim_time": "true", "cutoff": CUTOFF, "timeout": 5.0}
+        tuned = {"use_sim_time": "true", "cutoff": CUTOFF, **PATIENT}
         file = parameter_file(own, {"scene": folder / "local.yaml", **tuned})
         words = [*TARGET, "--ros-args", "--params-file", str(file)]
         node = NodeProcess([sys.executable, *words], domain)

@@ -19,7 +19,7 @@ def leg(tmp_path_factory):
     text = (SCENES / "four_bar_leg.yaml").read_text(encoding="utf-8") + ACTUATORS
     scene = folder / "leg.yaml"
     scene.write_text(text.replace("../robots", str(SCENES.parent / "robots")), encoding="utf-8")
-    with claimed_domain() as own, live(own, folder, scene, timeout=5.0) as stream:
+    with claimed_domain() as own, live(own, folder, scene) as stream:
         yield stream
 
 

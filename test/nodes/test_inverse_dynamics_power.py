@@ -38,7 +38,7 @@ HIP = 0.3  # rad; the knee bends back twice as far, so that the toe is below the
 def arm(tmp_path_factory):
     folder = tmp_path_factory.mktemp("power")
     scene = SCENES / "prosthetic_leg.yaml"
-    with claimed_domain() as own, live(own, folder, scene, power="true", timeout=5.0) as stream:
+    with claimed_domain() as own, live(own, folder, scene, power="true") as stream:
         yield stream
 
 
@@ -47,7 +47,7 @@ def hopper(tmp_path_factory):
     folder = tmp_path_factory.mktemp("stance")
     (folder / "hopper.urdf").write_text(HOPPER, encoding="utf-8")
     (folder / "hopper.yaml").write_text(SCENE + PHASES, encoding="utf-8")
-    asked = {"stance": "minimum-norm", "phase_topic": "/phase", "power": "true", "timeout": 5.0}
+    asked = {"stance": "minimum-norm", "phase_topic": "/phase", "power": "true"}
     with claimed_domain() as own, live(own, folder, folder / "hopper.yaml", **asked) as stream:
         yield stream
 

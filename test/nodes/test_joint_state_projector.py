@@ -9,6 +9,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from deadline import PATIENT
 from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.node_process import NodeProcess
 from nodes.probe import Probe
@@ -34,6 +35,7 @@ NAME = "/joint_state_projector"
 TARGET = ("-m", "mbd_ros.nodes", "joint_state_projector")
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 NAN = math.nan
+MOMENT = 0.01  # s of silence
 REVOLUTE, SLIDE = 5e-3, 3e-4  # rad, m: noise
 
 
@@ -113,7 +115,7 @@ def live(
     domain, folder, scene_path, *, code=0, stop=signal.SIGINT, description=None, **parameters
 ):
     """A running node that must end with exit code `code`, if 0 without a traceback."""
-    file = parameter_file(folder, {"scene": scene_path, **parameters})
+    file = parameter_file(folder, {"scene": scene_path, **PATIENT, **parameters})
     words = [sys.executable, *TARGET, "--ros-args", "--params-file", str(file)]
     node = NodeProcess(words, domain)
     try:
@@ -134,7 +136,7 @@ def live(
 @pytest.fixture(scope="module")
 def running_leg(tmp_path_factory):
     folder, scene = tmp_path_factory.mktemp("leg"), SCENES / f"{LEG}.yaml"
-    options = {"timeout": 60.0, "violation_tolerance": 0.002}
+    options = {"violation_tolerance": 0.002}
     with claimed_domain() as own, live(own, folder, scene, **options) as stream:
         yield stream
 
@@ -262,7 +264,7 @@ def test_each_knee_joint_of_the_four_bar_is_reconstructed_on_its_branch(domain, 
     scene = load_scene(path)
     states = list(build_simulation(scene, dt=0.01).run(scene.initial, 0.55))[20:]
     assert np.abs(states[0].q - scene.initial.q).max() > 0.3
-    with live(domain, tmp_path, path, timeout=9.0) as stream:
+    with live(domain, tmp_path, path) as stream:
         order = [scene.robot.joint(name).q for name in stream.joints]
         for missing in ("knee_anterior", "knee_tibial", "knee_posterior"):
             names = [name for name in stream.joints if name != missing]
@@ -410,9 +412,9 @@ def test_5_what_nothing_determines_is_held_and_then_the_output_stops(leg):
         q, v = motion(leg.scene, k)
         leg.send(k, q[columns], v[columns], names)
     leg.node.wait_for("joints missing for too long (hip_flexion)")
-    assert leg.probe.set_parameter(NAME, "timeout", 0.01).successful
+    assert leg.probe.set_parameter(NAME, "timeout", MOMENT).successful
     leg.probe.wait_health(lambda h: h.level == STALE)
-    assert leg.probe.set_parameter(NAME, "timeout", 60.0).successful
+    assert leg.probe.set_parameter(NAME, "timeout", PATIENT["timeout"]).successful
     assert len(leg.states) == 3
     leg.ask(81, *motion(leg.scene, 81))
 
@@ -559,7 +561,7 @@ def test_28_states_without_an_answer_are_dropped_and_in_the_end_deactivate(domai
 
 def test_16_17_38_clock_that_jumps_back_and_stands(domain, tmp_path):
     """On the other executor; ended by SIGTERM."""
-    options = {"use_sim_time": "true", "executor": "single_threaded", "timeout": 0.2}
+    options = {"use_sim_time": "true", "executor": "single_threaded", "timeout": MOMENT}
     scene = SCENES / f"{LEG}.yaml"
     with live(domain, tmp_path, scene, stop=signal.SIGTERM, **options) as stream:
         clock = stream.probe.node.create_publisher(Clock, "/clock", 10)
@@ -575,7 +577,7 @@ def test_16_17_38_clock_that_jumps_back_and_stands(domain, tmp_path):
         stream.ask(0, *motion(stream.scene, 0))  # before the first /clock
         set_clock(100.0)
         stream.ask(1, *motion(stream.scene, 1))
-        stream.probe.spin_for(0.3)  # the clock stands longer than the timeout
+        stream.probe.spin_for(2.0 * MOMENT)  # the clock stands longer than the timeout
         assert stream.probe.wait_health(lambda h: True).level == OK
         set_clock(98.0)
         stream.node.wait_for("time jumped back by 2.000 s: starting afresh")

@@ -7,13 +7,12 @@ import signal
 import subprocess
 import sys
 import threading
-import time
 from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 import pytest
-from deadline import DEADLINE
+from deadline import DEADLINE, until
 from places import ROOT
 from sensor_msgs.msg import JointState
 
@@ -105,10 +104,8 @@ class Launched:
 
     def wait_for(self, *texts):
         """Until all of these were said."""
-        end = time.monotonic() + DEADLINE
-        while not all(text in self.log for text in texts):
-            assert self.process.poll() is None and time.monotonic() < end, self.log
-            time.sleep(0.05)
+        until(lambda: self.process.poll() is not None or all(t in self.log for t in texts))
+        assert all(text in self.log for text in texts), self.log
 
     def end(self):
         """Ctrl-C as a terminal sends it: to all processes; launch sends another one."""

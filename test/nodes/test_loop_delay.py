@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from deadline import PATIENT
 from nodes.relay import REMAPPED, Relay, ended, started
 from nodes.simulation_client import NAME, simulated
 from places import ROOT
@@ -35,7 +36,7 @@ def test_a_late_command_is_measured_and_one_too_late_is_made_safe(domain, tmp_pa
         probe = plant.probe
         probe.node.destroy_publisher(plant._vectors)
         relay = Relay(probe)
-        values = {"scene": SCENE, "use_sim_time": "true", "safe_ramp": RAMP}
+        values = {"scene": SCENE, "use_sim_time": "true", "safe_ramp": RAMP, **PATIENT}
         nodes.append(started(domain, tmp_path / "controller", name, REMAPPED, **values))
         settled = probe.wait_health(
             lambda h: (

@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from deadline import PATIENT
 from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.node_process import NodeProcess
 from nodes.probe import Probe
@@ -82,7 +83,7 @@ class Leg:
 @pytest.fixture(scope="module")
 def leg(tmp_path_factory):
     folder = tmp_path_factory.mktemp("node")
-    file = parameter_file(folder, {"scene": "marked_leg", "cutoff": 20.0, "timeout": 60.0})
+    file = parameter_file(folder, {"scene": "marked_leg", "cutoff": 20.0, **PATIENT})
     with claimed_domain() as domain:
         node = NodeProcess(
             [sys.executable, *TARGET, "--ros-args", "--params-file", str(file)], domain

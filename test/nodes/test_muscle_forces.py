@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import yaml
+from deadline import PATIENT
 from geometry_msgs.msg import WrenchStamped
 from muscle_arm import NAMES, SCENE, URDF
 from sensor_msgs.msg import JointState
@@ -24,7 +25,7 @@ class Arm:
         (folder / "arm.urdf").write_text(URDF)
         path = folder / "arm.yaml"
         path.write_text(yaml.safe_dump({"robot": {"urdf": "arm.urdf"}, **scene}))
-        given = {"scene": str(path), "timeout": 60.0, **parameters}
+        given = {"scene": str(path), **PATIENT, **parameters}
         self.scene, self.probe = load_scene(path), probe
         self.process = start_node(
             yaml.safe_dump({NODE: {"ros__parameters": given}}),
@@ -113,7 +114,7 @@ def load_of(arm, pose, shares):
 
 
 def test_measured_activations_are_a_lower_bound_while_they_stand(start_node, probe, tmp_path):
-    arm = Arm(start_node, probe, tmp_path, emg_use="least", emg_max_age=60.0)
+    arm = Arm(start_node, probe, tmp_path, emg_use="least", emg_max_age=PATIENT["timeout"])
     arm.measure(flexor=0.4, extensor=0.3, unknown=0.1)
     arm.measure(flexor=2.0)  # refused
     probe.wait_health(lambda h: h.name == NODE and dropped(arm, "emg") == 1)

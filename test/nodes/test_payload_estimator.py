@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pinocchio as pin
 import pytest
+from deadline import PATIENT
 from geometry_msgs.msg import InertiaStamped
 from identification_data import fourier
 from nodes.joint_stream import ACTIVE, MS, parameter_file
@@ -71,7 +72,7 @@ class Arm:
 @pytest.fixture
 def arm(tmp_path):
     given = {"scene": "arm7", "frame": "flange", "memory": 4.0}
-    file = parameter_file(tmp_path, {**given, "timeout": 60.0, "clock_tolerance": 60.0})
+    file = parameter_file(tmp_path, {**given, **PATIENT})
     with claimed_domain() as domain:
         node = NodeProcess(
             [sys.executable, *TARGET, "--ros-args", "--params-file", str(file)], domain

@@ -1,9 +1,9 @@
 """The executables as a terminal and ros2 launch treat them: signals at any moment."""
 
 import signal
-import time
 
 import pytest
+from deadline import until
 from nodes.simulation_client import ARM
 from places import ROOT
 
@@ -37,12 +37,10 @@ def test_ctrl_c_while_the_command_line_still_imports_is_130(start_node):
 
 @pytest.mark.parametrize("name", NODES)
 def test_further_signals_while_a_node_ends_change_nothing(start_node, name):
-    """A terminal and ros2 launch send two, 50 to 150 ms apart: here they come all the time."""
+    """A terminal and ros2 launch send two, 50 to 150 ms apart: here they come every 10 ms."""
     node = start_node(arguments=["-p", f"scene:={SCENE}"], target=program(name))
     node.wait_for("]: active")
-    while node.process.poll() is None:
-        node.process.send_signal(signal.SIGINT)
-        time.sleep(0.002)
+    until(lambda: node.process.poll() is not None or node.process.send_signal(signal.SIGINT))
     assert node.wait() == 0
     assert "Traceback" not in node.log
 

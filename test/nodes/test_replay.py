@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from deadline import DEADLINE
+from deadline import DEADLINE, until
 from mechanisms import floating_body
 from places import RECORDINGS, ROOT
 
@@ -333,10 +333,9 @@ def test_a_signal_in_the_middle_leaves_neither_bag_nor_process(tmp_path, how):
         for text in player.stderr:
             if "]: active" in text:
                 break
-        time.sleep(1.5)
+        until(lambda: any(path.name.startswith(".out.") for path in tmp_path.iterdir()))
         node = Path(f"/proc/{player.pid}/task/{player.pid}/children").read_text().split()
         assert len(node) == 1
-        assert any(path.name.startswith(".out.") for path in tmp_path.iterdir())
         if how == "terminal":
             os.killpg(player.pid, signal.SIGINT)
         else:

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 
 import numpy as np
 import pytest
+from deadline import PATIENT
 from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.node_process import NodeProcess
 from nodes.simulation_client import ARM, DAMPED, DEEP, simulated, streamed, swinging
@@ -48,7 +49,7 @@ def estimated(domain, folder, **options):
     with simulated(domain, folder, ARM + DAMPED, publish_clock="true", **options) as client:
         (path := folder / "local.yaml").write_text(ARM + DAMPED, encoding="utf-8")
         (own := folder / "inverse").mkdir()
-        tuned = {"use_sim_time": "true", "cutoff": CUTOFF, "timeout": 5.0}
+        tuned = {"use_sim_time": "true", "cutoff": CUTOFF, **PATIENT}
         file = parameter_file(own, {"scene": path, **tuned})
         words = [*TARGET, "--ros-args", "--params-file", str(file)]
         node = NodeProcess([sys.executable, *words], domain)

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 import pytest
+from deadline import PATIENT
 from geometry_msgs.msg import Vector3
 from nodes.joint_stream import ACTIVE, MS, parameter_file
 from nodes.simulation_client import DEEP
@@ -83,7 +84,7 @@ def started(probe, start_node, tmp_path):
     """Starts the node and a machine that it hears."""
 
     def start(scene="four_bar_leg", **parameters):
-        file = parameter_file(tmp_path, {"scene": scene, **parameters})
+        file = parameter_file(tmp_path, {"scene": scene, **PATIENT, **parameters})
         node = start_node(arguments=("--params-file", str(file)), target=TARGET)
         node.wait_for(ACTIVE)
         machine = Machine(probe, scene)
@@ -117,7 +118,7 @@ def test_three_encoders_give_the_whole_of_a_four_bar_knee(started):
 
 
 def test_dropouts_disorder_and_a_frozen_encoder_stay_bounded_and_are_named(started):
-    machine, rng = started(timeout=60.0), np.random.default_rng(1)
+    machine, rng = started(), np.random.default_rng(1)
     order = [i for i in range(1, 150) if i % 3]  # a third is lost
     for k in range(4, 80, 9):
         order[k : k + 4] = [*order[k + 1 : k + 4], order[k]]  # 50 ms late
@@ -148,7 +149,7 @@ def test_dropouts_disorder_and_a_frozen_encoder_stay_bounded_and_are_named(start
 
 def test_estimates_wait_for_the_lag(started):
     """The estimate of a sample comes 50 ms later, with its own stamp: five samples."""
-    machine, rng = started(lag=0.05, timeout=60.0), np.random.default_rng(3)
+    machine, rng = started(lag=0.05), np.random.default_rng(3)
     for i in range(60):
         machine.send(i, MEASURED, 1e-4 * rng.standard_normal(3))
         machine.probe.spin_for(0.003)
@@ -182,7 +183,7 @@ def test_an_imu_is_heard_beside_an_encoder(started, tmp_path):
         "locked: {knee: -0.4, knee_slide_x: 0.0, knee_slide_y: 0.0}}\n"
         "sensors: {foot: {type: imu, frame: foot}}\n"
     )
-    machine = started(str(scene), disturbances=False, timeout=60.0)
+    machine = started(str(scene), disturbances=False)
     sensor, simulation = machine.scene.sensors[0], machine.simulation
     publisher = machine.probe.node.create_publisher(Imu, f"{NAME}/imu/foot", DEEP)
     machine.probe.spin_until(publisher.get_subscription_count)
@@ -206,7 +207,7 @@ def test_an_imu_is_heard_beside_an_encoder(started, tmp_path):
 
 def test_unknown_numbers_and_the_covariance_are_published_on_request(started):
     known = ["foot.payload=0.1", "ankle.position.offset=0.01"]
-    given = {"parameters": known, "covariance": True, "disturbances": False, "timeout": 60.0}
+    given = {"parameters": known, "covariance": True, "disturbances": False}
     told = {}
     machine = started(**given)
     create = machine.probe.node.create_subscription
@@ -235,7 +236,7 @@ def test_unknown_numbers_and_the_covariance_are_published_on_request(started):
 
 def test_an_overrun_never_blocks_and_is_flagged(started):
     """No time at all for the horizon: every answer still comes, by the filter alone."""
-    given = {"estimator": "moving_horizon", "deadline": 0.0, "timeout": 60.0}
+    given = {"estimator": "moving_horizon", "deadline": 0.0}
     machine = started(disturbances=False, **given)
     x, robot = machine.simulation.system.expand(machine.at(0)), machine.scene.robot
     position = np.array([x.q[robot.joint(name).q] for name in MEASURED])
@@ -280,9 +281,9 @@ def test_what_the_sensors_of_a_simulator_tell_is_heard(probe, start_node, tmp_pa
         create(JointState, "/joint_states", partial(heard, exact), DEEP),
         create(JointState, f"{NAME}/joint_states", partial(heard, answers), DEEP),
     ]
-    given = {"scene": str(scene), "inputs": "none", "memory": 0.5, "timeout": 60.0}
+    given = {"scene": str(scene), "inputs": "none", "memory": 0.5}
     given["use_sim_time"] = "true"
-    file = parameter_file(tmp_path, given)
+    file = parameter_file(tmp_path, {**given, **PATIENT})
     remap = ("-r", "joint_states:=/simulator/measured_joint_states")
     start_node(arguments=("--params-file", str(file), *remap), target=TARGET).wait_for(ACTIVE)
     given = {"scene": str(scene), "rate": 200.0, "seed": 3, "publish_clock": "true"}
@@ -303,8 +304,8 @@ def test_what_the_sensors_of_a_simulator_tell_is_heard(probe, start_node, tmp_pa
 def test_ten_minutes_at_500_hz(probe, start_node, tmp_path, estimator):
     """The 7-joint arm within its limits: nothing is lost, nothing grows, errors stay small."""
     scene, seconds, rate = load_scene("arm7"), 600 if estimator == "extended_kalman" else 60, 500
-    given = {"scene": "arm7", "estimator": estimator, "timeout": 60.0}
-    file = parameter_file(tmp_path, given)
+    given = {"scene": "arm7", "estimator": estimator}
+    file = parameter_file(tmp_path, {**given, **PATIENT})
     node = start_node(arguments=("--params-file", str(file)), target=TARGET)
     node.wait_for(ACTIVE)
     worst, count, begin = np.zeros(2), 0, time.time_ns()

@@ -17,6 +17,8 @@ from rclpy.parameter import Parameter
 
 from msg_adapters.diagnostics import Health, read_diagnostics
 
+_TOPICS = 10  # of a test at most, with messages that wait to be taken
+
 
 class Probe:
     """The test's side of the conversation: a node with a context and executor of its own."""
@@ -59,6 +61,8 @@ class Probe:
 
     def wait_health(self, done: Callable[[Health], Any], timeout: float = DEADLINE) -> Health:
         """First status from now on that satisfies `done`."""
+        for _ in range(_TOPICS):  # what is here by now is no news
+            self._executor.spin_once(timeout_sec=0.0)
         seen = len(self.health)
         found = self.spin_until(lambda: [h for h in self.health[seen:] if done(h)], timeout)
         return found[0]
