@@ -1,5 +1,6 @@
 """Recordings of motion capture, .c3d: markers, and force plates as wrenches. Needs ezc3d."""
 
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,6 +10,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
+from mbd_ros.files.laboratory.c3d_counts import LONGEST, check_counts
 from mbd_ros.files.laboratory.markers import GROUND, MARKERS, METRES, RATE, SCREEN
 from mbd_ros.files.laboratory.trc import Trc
 from mbd_ros.files.table import MAIN, STAMP, TIME, Column, Result, Table
@@ -16,7 +18,6 @@ from mbd_ros.files.text_file import reading, replacing
 
 PLATES = "wrenches"  # table of the force plates
 _NO_MARKERS = ("ANGLES", "FORCES", "MOMENTS", "POWERS", "SCALARS")  # modelled, among the points
-_MAGIC = 0x50  # second byte
 _CENTRED = 1  # type of plates that give their centre of pressure
 _BROKEN = (OSError, RuntimeError, ValueError, KeyError, IndexError, TypeError, MemoryError)
 
@@ -53,9 +54,8 @@ class C3d:
             DataError: It is no .c3d, or cut, or in another unit.
         """
         with reading(path) as file:
-            head = file.read(2)
-        if len(head) < 2 or head[1] != _MAGIC:
-            raise DataError(f"{path}: no .c3d")
+            start, size = file.read(LONGEST), os.fstat(file.fileno()).st_size
+        check_counts(path, start, size)
         try:
             whole = self._ezc3d.c3d(str(path))
             has_plates = _parameter(whole, "FORCE_PLATFORM", "USED", [0])[0] > 0
