@@ -31,6 +31,7 @@ _MOST_UNEXPLAINED = 0.6  # share of what is not explained, above which nothing i
 _LAG = 0.1  # longest delay of an estimate, as a share of the window
 _DELAYS = 8  # that are tried
 _PAUSE = 0.05  # share of the window between two comparisons
+_DENSEST = 50_000  # samples of a window: what follows another one too closely does not count
 _FILLED = 0.9  # share of the window that samples must cover
 _BETTER = 0.7  # times the share of the second best that a named one has at most
 _MEMORY_FIELDS = (
@@ -79,6 +80,8 @@ class FaultNaming:
             lacking: Unknown efforts, shape (k,).
             deviation: Their standard deviations, shape (k,).
         """
+        if self._samples and x.t - self._samples[-1].t < self._window / _DENSEST:
+            return
         bare = x._replace(z=np.zeros_like(x.z))
         found = self._system.evaluate(bare, u)
         a, unit = found.a.copy(), np.zeros((len(x.v), len(lacking)))

@@ -14,6 +14,7 @@ from mbd_ros.methods.estimation.process import Belief, Estimator, Measurement, P
 _COINCIDENT = 1.0e-9  # [s] within which two samples are one
 _GAP = 5.0  # times the usual interval: more than that between samples is a gap
 _FORGETTING = 0.1  # share that the newest interval has in the usual one
+MOST_SAMPLES = 1000  # that are remembered, so that late ones can go before them
 _DETERMINED = 4.0  # times its noise: what the others say of a number is less certain than that
 
 
@@ -28,8 +29,9 @@ class Taken(Enum):
 class Tracker:
     """Feeds an estimator with samples as they come.
 
-    A sample that is late goes where it belongs, if that is not longer ago than `memory`: the
-    estimator goes back there and takes all that came since again.
+    A sample that is late goes where it belongs, if that is not longer ago than `memory` nor before
+    the last `MOST_SAMPLES` samples: the estimator goes back there and takes all that came since
+    again.
 
     What drove the mechanism in a gap between samples is not known. After one that is longer than
     `patience` it is found where it is, at rest but for what `agility` may have done.
@@ -43,8 +45,11 @@ class Tracker:
         gate: Deviations by which noise may change an innovation; beyond it a sensor has jumped.
         agility: Accelerations that nobody foresees and that happen all the same
             [rad/s^2 or m/s^2].
+        longest: Interval between samples that is predicted at most; a longer one is a gap [s].
 
     Attributes:
+        is_hurried: Whether answers lag behind too far for what takes long: late samples then
+            count as too old, and what is longer than `patience` as a gap.
         faults: What is wrong with sensors.
         watch: The newest innovations.
         restarts: How often the estimator began anew, since nothing fitted.
@@ -61,11 +66,14 @@ class Tracker:
         max_age: float = 0.5,
         gate: float = 6.0,
         agility: float = 50.0,
+        longest: float = np.inf,
     ) -> None:
         self.estimator, self._sensors, self._memory = estimator, sensors, memory
         self.faults = SensorFaults(sensors, gate, agility, patience, max_age)
         self.watch, self.restarts = InnovationWatch(), 0
         self._patience, self._max_age, self._agility = patience, max_age, agility
+        self._longest = longest
+        self.is_hurried = False
         self._usual = np.inf  # s, between samples
         self._prior: Array = estimator.belief.P
         self._steps = list[_Step]()
@@ -92,7 +100,7 @@ class Tracker:
         if t >= self.belief.t - _COINCIDENT:
             self._step(t, values, u)
             return Taken.USED
-        if not self._steps or t < self._steps[0].since:
+        if self.is_hurried or not self._steps or t < self._steps[0].since:
             return Taken.OLD
         at = bisect_right([step.t for step in self._steps], t)
         again = self._steps[at:]
@@ -115,7 +123,7 @@ class Tracker:
         estimator = self.estimator
         before = estimator.remember(), self.faults.remember(), self._usual
         self._steps.append(_Step(t, self.belief.t, values, u, before))
-        while self._steps[0].t < t - self._memory:
+        while self._steps[0].t < t - self._memory or len(self._steps) > MOST_SAMPLES:
             del self._steps[0]
         dt = max(t - self.belief.t, 0.0)
         if dt > _COINCIDENT:
@@ -137,7 +145,8 @@ class Tracker:
     def _go_on(self, t: float, values: Array, u: Array | None, dt: float) -> None:
         """To the time of the next sample, by what is known of the time until then."""
         estimator, process = self.estimator, self.estimator.process
-        if dt > max(self._patience, _GAP * self._usual):
+        longest = self._patience if self.is_hurried else self._longest
+        if dt > min(longest, max(self._patience, _GAP * self._usual)):
             doubt = process.unforeseen(self._agility, min(dt, self._max_age))
             P = self.belief.P + np.diag(doubt)
             x = process.near(process.at_rest(self.belief.x, t), values, P)
@@ -189,6 +198,8 @@ class Delayed(NamedTuple):
 class LagWindow:
     """The newest samples, whose estimates wait for what is measured a while later.
 
+    More than `MOST_SAMPLES` do not wait: the oldest ones are then due before their lag is over.
+
     Args:
         process: What is filtered.
         lag: How long after a sample measurements count for its estimate [s].
@@ -218,6 +229,7 @@ class LagWindow:
             return []
         end = self._samples[-1].belief.t - self._lag + _COINCIDENT
         count = sum(sample.belief.t <= end for sample in self._samples)
+        count = max(count, len(self._samples) - MOST_SAMPLES)
         if not count:
             return []
         self._told = self._samples[count - 1].belief.t

@@ -9,6 +9,7 @@ from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import Float64MultiArray
 
 from mbd_ros.core.model.inertial_parameters import COUNT, PLACES
+from mbd_ros.errors import SolveError
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.payload_estimator.pipeline import Carried, PayloadPipeline
 from mbd_ros.nodes.shell.joint_state_stream import JointStateStream
@@ -94,7 +95,11 @@ class PayloadEstimatorNode(Shell):
 
     def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Take one joint state."""
-        found = self._pipeline.answer(stamp, sample)
+        try:
+            found = self._pipeline.answer(stamp, sample)
+        except SolveError as error:
+            self._stream.drop("unsolved", f"joint_states: {error}")
+            return None
         if isinstance(found, SampleStatus):
             return found
         if isinstance(found, Carried):

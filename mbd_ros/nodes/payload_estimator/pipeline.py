@@ -73,6 +73,9 @@ class PayloadPipeline:
         Args:
             stamp: Time [ns].
             sample: What `reader` read last.
+
+        Raises:
+            SolveError: No finite estimate explains the sample.
         """
         present = self.joints.present
         seen = self._observer.observe(stamp, sample.position, sample.velocity, present)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple, get_args, get_origin
 
 from rcl_interfaces.msg import FloatingPointRange, ParameterDescriptor, SetParametersResult
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
 from rclpy import parameter as ros
 from rclpy.exceptions import ParameterNotDeclaredException
 from rclpy.node import Node
@@ -279,6 +280,34 @@ class Declared:
                     f"parameter '{spec.name}' is read-only while the node is configured; "
                     "clean up, set it, then configure"
                 )
+
+
+def guard_parameter_services(node: Node) -> None:
+    """Let the services of a node refuse values of a type that ROS does not have.
+
+    rclpy raises for them, out of the callback, which would end the process.
+    """
+    for service in node.services:
+        if service.srv_type in (SetParameters, SetParametersAtomically):
+            service.callback = _of_known_types(service.callback)
+
+
+def _of_known_types(take: Callable[[Any, Any], Any]) -> Callable[[Any, Any], Any]:
+    def refuse_or_take(request: Any, response: Any) -> Any:
+        types = [kind.value for kind in ros.Parameter.Type]
+        unknown = [change for change in request.parameters if change.value.type not in types]
+        if not unknown:
+            return take(request, response)
+        name, kind = unknown[0].name, unknown[0].value.type
+        reason = f"parameter '{name}': type {kind} is unknown; accepted: 0 to {max(types)}"
+        refusal = SetParametersResult(successful=False, reason=reason)
+        if isinstance(response, SetParameters.Response):
+            response.results = [refusal] * len(request.parameters)
+        else:
+            response.result = refusal
+        return response
+
+    return refuse_or_take
 
 
 def constructor_parameters(

@@ -25,7 +25,13 @@ from rclpy.timer import Timer
 from mbd_ros.errors import MbdError
 from mbd_ros.nodes.shell.clock import guard_clock
 from mbd_ros.nodes.shell.diagnostics import Diagnostics, Drops, Endpoint, topic_problems
-from mbd_ros.nodes.shell.parameters import PARAMETERS, Declared, Parameter, ParameterError
+from mbd_ros.nodes.shell.parameters import (
+    PARAMETERS,
+    Declared,
+    Parameter,
+    ParameterError,
+    guard_parameter_services,
+)
 from mbd_ros.nodes.shell.params_file import file_warnings
 from mbd_ros.nodes.shell.serialized import message_of
 from msg_adapters.diagnostics import ERROR, OK, WARN
@@ -61,6 +67,7 @@ class Shell(LifecycleNode):
         # rclpy raises out of this service for a transition that the state does not allow.
         self._change_state = self._service_change_state.callback
         self._service_change_state.callback = self._change_state_if_allowed
+        guard_parameter_services(self)
         self._entities = Entities()
         self._known_problems: set[str] = set()
         self._drops = Drops(self.get_logger().warning)

@@ -55,9 +55,9 @@ class StateEstimatorNode(Shell):
         self._disturbance = self.publish_to(JointState, "~/disturbance", DEPTH)
         self._forces = self.publish_to(JointState, "~/constraint_forces", DEPTH)
         self._deviations = self.publish_to(Float64MultiArray, "~/deviations", DEPTH)
-        self._parameters = self._covariance = None
+        self._numbers = self._covariance = None
         if self.parameters.parameters:
-            self._parameters = self.publish_to(Float64MultiArray, "~/parameters", DEPTH)
+            self._numbers = self.publish_to(Float64MultiArray, "~/parameters", DEPTH)
         if self.parameters.covariance:
             self._covariance = self.publish_to(Float64MultiArray, "~/covariance", DEPTH)
         self._innovations = self.publish_to(Float64MultiArray, "~/innovations", DEPTH)
@@ -103,7 +103,7 @@ class StateEstimatorNode(Shell):
         try:
             answer = ask()
         except (SolveError, DivergedError) as error:
-            self._pipeline.forget()
+            self._pipeline.begin_anew()
             self._stream.drop_unsolved(error)
             return None
         self._stream.failures = 0
@@ -124,7 +124,7 @@ class StateEstimatorNode(Shell):
         self._deviations.publish(answer.deviations)
         self._innovations.publish(answer.innovations)
         for message, topic in (
-            (answer.parameters, self._parameters),
+            (answer.parameters, self._numbers),
             (answer.covariance, self._covariance),
         ):
             if message is not None and topic is not None:

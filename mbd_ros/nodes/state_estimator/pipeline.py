@@ -59,6 +59,7 @@ class EstimateMessages(NamedTuple):
 
 
 Answer = list[EstimateMessages] | Taken  # estimates that are due, or what became of the sample
+_MOST_LAG = 1.0  # s, by which answers may lag behind before late samples are left out
 _REWIND = 1.0  # s, by which wrenches are older where time begins anew
 
 
@@ -126,6 +127,12 @@ class EstimatorPipeline:
         for buffer in self.wrenches.values():
             buffer.clear()
 
+    def begin_anew(self) -> None:
+        """Forget the past after an error, but not how far answers lag behind the samples."""
+        debt = self._debt
+        self.forget()
+        self._debt = debt
+
     def take_command(self, values: Array) -> None:
         """Take the commands of all actuators, in the order of the scene."""
         self._command = np.concatenate((values, self._command[len(values) :]))
@@ -186,9 +193,12 @@ class EstimatorPipeline:
         estimator.is_late = self._debt > self._values.deadline
         self._late += estimator.is_late
         self._newest_u = u
-        taken = self.tracker.take(t, values, u)
-        spent = perf_counter() - began
-        self._debt = max(0.0, self._debt + spent - max(t - before, 0.0))
+        self.tracker.is_hurried = self._debt > _MOST_LAG
+        try:
+            taken = self.tracker.take(t, values, u)
+        finally:
+            spent = perf_counter() - began
+            self._debt = max(0.0, self._debt + spent - max(t - before, 0.0))
         if taken is not Taken.USED:
             return taken
         self.newest, consistency = stamp, self.tracker.watch.consistency()
@@ -209,7 +219,8 @@ class EstimatorPipeline:
         y = found.process.near(found.process.consistent(first), values, found.prior)
         found.estimator.begin(y, found.prior, 0.0)
         options = {name: getattr(kept, name) for name in TRACKER}
-        self.tracker = Tracker(found.estimator, found.process.sensors, **options)
+        longest = max(kept.max_age, kept.patience)
+        self.tracker = Tracker(found.estimator, found.process.sensors, longest=longest, **options)
         if self._lag:
             self.tracker.window = LagWindow(found.process, self._lag)
 

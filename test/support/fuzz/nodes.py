@@ -1,7 +1,8 @@
 """Live nodes under fire over DDS: `python -m fuzz.nodes --seed 1 --messages 20000`.
 
-Each node answers a valid exchange, is sent hostile messages on every input, and must then be
-alive, must have published finite numbers only, and must answer the exchange bit for bit as before.
+Each node answers a valid exchange, is sent hostile messages on every input and hostile requests of
+every service, and must then be alive, must have published finite numbers only, must answer a
+request within `PATIENCE`, and must answer the exchange bit for bit as before.
 """
 
 import argparse
@@ -10,154 +11,150 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from importlib import import_module
 from itertools import groupby
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from fuzz.messages import Hostile
-from nodes.joint_stream import ACTIVE, parameter_file
-from nodes.node_process import DEADLINE, NodeProcess
+from fuzz.subjects import SUBJECTS, Seeds, Subject
+from nodes.joint_stream import ACTIVE, SCENES, parameter_file
+from nodes.node_process import NodeProcess
 from nodes.simulation_client import DEEP, QuickProbe
-from places import ROOT
-from rclpy.serialization import deserialize_message
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
+from rclpy.duration import Duration
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.parameter import parameter_value_to_python
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message, serialize_message
+from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64MultiArray
-from std_srvs.srv import Trigger
-from trajectory_msgs.msg import JointTrajectory
-from visualization_msgs.msg import MarkerArray
+from std_msgs.msg import String
+from std_srvs.srv import SetBool, Trigger
 
 from mbd_ros.jobs.domain_claim import claimed_domain
 from mbd_ros.scene.reader import load_scene
-from msg_adapters.joint_state import write_joint_state
 
-STEP = 10_000_000  # ns between valid joint states
+RCLError = rclpy_implementation.RCLError
+STEP = 10_000_000  # ns between valid messages
 EXCHANGES = 20
-SCENES = ROOT / "config" / "scenes"
-STATES = {"/joint_states": JointState}
-REFERENCES = {"reference": JointState, "joint_trajectory": JointTrajectory}
-LAW = {"timeout": 60.0, "safe_ramp": 0.0, "clock_tolerance": 1e6}
-
-
-class Subject(NamedTuple):
-    """A node under fire.
-
-    Attributes:
-        module: Of `mbd_ros.nodes`, and name of the node.
-        scene: Of `config/scenes`.
-        parameters: Beside the scene.
-        inputs: Topics with their types, relative ones below the node.
-        outputs: Likewise; the first one answers each valid message.
-    """
-
-    module: str
-    scene: str
-    parameters: dict[str, Any]
-    inputs: dict[str, type]
-    outputs: dict[str, type]
-
-
-def controller(module: str, scene: str) -> Subject:
-    """Either controller."""
-    outputs = {"commands": Float64MultiArray, "state": JointState}
-    return Subject(module, scene, LAW, STATES | REFERENCES, outputs)
-
-
-TORQUES = {"joint_torques": JointState, "constraint_forces": JointState}
-PROJECTED = {
-    "joint_states": JointState,
-    "constraint_forces": JointState,
-    "violation": Float64MultiArray,
-}
-SHOWN = {**STATES, "constraint_forces": JointState, "markers": MarkerArray}
-JUDGED = {"timeout": 3600.0, "clock_tolerance": 1e6}
-SUBJECTS = {
-    "inverse_arm": Subject("inverse_dynamics", "prosthetic_arm", JUDGED, STATES, TORQUES),
-    "inverse_four_bar": Subject(
-        "inverse_dynamics", "controlled_four_bar", JUDGED, STATES, TORQUES
-    ),
-    "projector_arm": Subject("joint_state_projector", "prosthetic_arm", JUDGED, STATES, PROJECTED),
-    "projector_four_bar": Subject(
-        "joint_state_projector", "four_bar_leg", JUDGED, STATES, PROJECTED
-    ),
-    "sliding_arm": controller("sliding_mode_controller", "controlled_arm"),
-    "sliding_four_bar": controller("sliding_mode_controller", "controlled_four_bar"),
-    "qp_arm": controller("qp_controller", "controlled_arm"),
-    "qp_four_bar": controller("qp_controller", "controlled_four_bar"),
-    "simulator_four_bar": Subject(
-        "simulator",
-        "controlled_four_bar",
-        {"lock_step": "true", "publish_clock": "true", "command_timeout": 1e6},
-        {"commands": Float64MultiArray, "joint_commands": JointState},
-        SHOWN,
-    ),
-}
+VOLLEY = 50  # messages between two requests, which tell that the node has handled them
+PATIENCE = 10.0  # s until a request is answered, whatever was sent before
+LEAST = 0.1  # share of the hostile messages that must be answered or used
+DESCRIPTION = "/robot_description"
+_FEW = 0.01  # share of messages for which a node builds its scene anew
+_AFRESH = 0.3  # share of requests that reset
+_LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+_OF_ROS = ("/parameter_events", "/rosout", "/diagnostics", "/transition_event")
+_HIDES = ("ignored",)  # ends of diagnostics that repeat names of messages
 
 
 class Target:
     """The test's side of a node under fire.
 
     Attributes:
-        heard: Serialized messages of each output since the last `exchange` began.
+        heard: Serialized messages of each answer since the last `exchange` began.
         lost: Numbers that were not finite, as sentences.
+        inputs: Topics that the node hears, with their types.
+        sent: Hostile messages.
+        used: How many of them were answered, or where answers do not tell, not dropped.
     """
 
-    def __init__(self, subject: Subject, node: NodeProcess, probe: QuickProbe) -> None:
+    def __init__(self, subject: Subject, node: NodeProcess, probe: QuickProbe, scene: Any) -> None:
         self.subject, self.node, self.probe = subject, node, probe
-        self.name, self.lost = f"/{subject.module}", list[str]()
-        self.scene = load_scene(SCENES / f"{subject.scene}.yaml")
-        self.is_simulator = subject.module == "simulator"
-        driven = [name for part in self.scene.actuators for name in part.joints]
-        everything = [joint.name for joint in self.scene.robot.joints]
-        self.joints = driven if self.is_simulator else everything
-        self.heard: dict[str, list[bytes]] = {topic: [] for topic in subject.outputs}
-        create, publish = probe.node.create_subscription, probe.node.create_publisher
-        self._subscriptions = [
-            create(kind, self._full(topic), self._keeper(topic, kind), DEEP, raw=True)
-            for topic, kind in subject.outputs.items()
-        ]
-        self.publishers = {
-            topic: publish(kind, self._full(topic), DEEP) for topic, kind in subject.inputs.items()
-        }
+        self.name, self.lost = f"/{subject.node}", list[str]()
         self.begin = time.time_ns() // STEP * STEP
+        text = subject.description.read_text() if subject.description else None
+        self.seeds = Seeds(load_scene(scene, text), self.begin, STEP)
+        self.scene, self.sent, self.used = self.seeds.scene, 0, 0.0
+        self.heard: dict[str, list[bytes]] = {topic: [] for topic in subject.answers}
+        self._description = text
+        self._is_told_by_drops = not subject.answers or subject.silent > 0
+        self._seen: dict[str, list[bytes]] = {}
 
     def connect(self) -> None:
-        """Until both sides know each other."""
-        spin = self.probe.spin_until
-        spin(lambda: all(p.get_subscription_count() for p in self.publishers.values()))
-        spin(lambda: all(s.get_publisher_count() for s in self._subscriptions[:2]))
-        self.probe.meet(self.name)
-        self.exchange()  # what is not known to everybody yet may be lost
+        """Until both sides know each other, and every input has a valid message."""
+        probe, graph = self.probe, self.probe.node
+        probe.meet(self.name)
+        probe.spin_until(lambda: self.subject.node in graph.get_node_names())
+        hears = graph.get_subscriber_names_and_types_by_node(self.subject.node, "/")
+        says = graph.get_publisher_names_and_types_by_node(self.subject.node, "/")
+        offers = graph.get_service_names_and_types_by_node(self.subject.node, "/")
+        self.inputs = {
+            topic: _kind(kinds[0]) for topic, kinds in hears if not topic.endswith(_OF_ROS[:2])
+        }
+        outputs = {
+            topic: _kind(kinds[0])
+            for topic, kinds in says
+            if not topic.endswith(_OF_ROS) and topic not in self.inputs
+        }
+        missing = [topic for topic in self.heard if self._full(topic) not in outputs]
+        assert not missing, f"{self.name} has no outputs {missing}: {sorted(outputs)}"
+        self.seed = {
+            topic: self.seeds.of(kind, topic)
+            for topic, kind in self.inputs.items()
+            if topic != DESCRIPTION
+        }
+        if DESCRIPTION in self.inputs:
+            self.seed[DESCRIPTION] = String(data=self._description)
+        short = {self._full(topic): topic for topic in self.heard}
+        create = graph.create_subscription
+        self._subscriptions = [
+            create(kind, topic, self._keeper(short.get(topic), topic, kind), DEEP, raw=True)
+            for topic, kind in outputs.items()
+        ]
+        self.publishers = {
+            topic: graph.create_publisher(kind, topic, _LATCHED if kind is String else DEEP)
+            for topic, kind in self.inputs.items()
+        }
+        self._clients = {
+            service: graph.create_client(_kind(kinds[0]), service) for service, kinds in offers
+        }
+        probe.spin_until(lambda: all(c.service_is_ready() for c in self._clients.values()))
+        probe.spin_until(lambda: all(p.get_subscription_count() for p in self.publishers.values()))
+        for client in self._clients.values():
+            if client.srv_type in (ListParameters, GetParameters, SetParameters):
+                probe.ask_repeatedly(client, client.srv_type.Request())
+        probe.meet(self.name)
+        self._parameters = self._present()
+        if self.subject.answers:
+            self.exchange()  # what is not known to everybody yet may be lost
 
     def valid(self, k: int) -> Any:
         """Message k of a valid exchange: the first joint swings, or is driven, a little."""
-        swing = 0.05 * np.sin(0.3 * k) * np.eye(len(self.joints))[0]
-        if self.is_simulator:
-            return Float64MultiArray(data=(10.0 * swing).tolist())
-        return self.state(k)
+        return self._valid(self.subject.asked[-1], k)
 
     def state(self, k: int) -> Any:
         """Joint state k of a valid exchange."""
-        x, joints = self.scene.initial, self.scene.robot.joints
-        q = x.q[[joint.q for joint in joints]]
-        q[0] += 0.05 * np.sin(0.3 * k)
-        names, stamp = [joint.name for joint in joints], self.begin + k * STEP
-        return write_joint_state(JointState(), stamp, names, position=q, velocity=0.0 * q)
+        return self.seeds.of(JointState, "/joint_states", k)
 
     def ask(self, k: int) -> None:
         """Send message k of a valid exchange; it was answered when this returns."""
         answer = next(iter(self.heard.values()))
         seen = len(answer)
-        self.publishers[next(iter(self.subject.inputs))].publish(self.valid(k))
-        self.probe.spin_until(lambda: len(answer) > seen)
+        for topic in self.subject.asked:
+            self.publishers[self._full(topic)].publish(self._valid(topic, k))
+        if k >= self.subject.silent:
+            self.probe.spin_until(lambda: len(answer) > seen, PATIENCE)
 
     def reset(self) -> None:
         """The node at its beginning, and active."""
-        self.probe.call(Trigger, f"{self.name}/reset", Trigger.Request())
+        if "/clock" in self.publishers:
+            self.publishers["/clock"].publish(self.seeds.of(Clock, "/clock"))
+            self.probe.spin_for(0.2)
+        has_reset = f"{self.name}/reset" in self._clients
+        if has_reset:
+            self.request(f"{self.name}/reset", Trigger.Request())
+        if f"{self.name}/pause" in self._clients:
+            self.request(f"{self.name}/pause", SetBool.Request(data=False))
+        if self.probe.state(self.name) == "active" and not has_reset:
+            assert self.probe.change_state(self.name, "deactivate")
         if self.probe.state(self.name) == "inactive":
             assert self.probe.change_state(self.name, "activate")
-            self.probe.call(Trigger, f"{self.name}/reset", Trigger.Request())
+            if has_reset:
+                self.request(f"{self.name}/reset", Trigger.Request())
 
     def exchange(self, between: Callable[[int], None] = lambda k: None) -> dict[str, list[bytes]]:
         """What a valid exchange from the beginning is answered with, by topic.
@@ -169,66 +166,145 @@ class Target:
         self.probe.spin_for(0.1)  # what the reset itself shows
         for heard in self.heard.values():
             heard.clear()
-        for k in range(EXCHANGES):
+        for k in range(EXCHANGES if self.heard else 0):
             self.ask(k)
             between(k)
-        self.probe.spin_until(lambda: all(map(self._is_complete, self.heard)), DEADLINE)
+        least = EXCHANGES - self.subject.silent
+        self.probe.spin_until(
+            lambda: all(len(heard) >= least for heard in self.heard.values()), PATIENCE
+        )
         # A simulator that waits for a command shows its state again.
-        return {
-            topic: [cdr for cdr, _ in groupby(heard)]
-            for topic, heard in self.heard.items()
-            if topic != "markers"
-        }
+        return {topic: [cdr for cdr, _ in groupby(heard)] for topic, heard in self.heard.items()}
 
     def fire(self, seed: int, messages: int) -> None:
-        """Send hostile messages on all inputs; seeds say which."""
+        """Send hostile messages on all inputs, and requests; seeds say which."""
         rng = np.random.default_rng(seed)
-        hostile = Hostile(rng, self.joints, self.begin)
-        topics = list(self.subject.inputs)
+        hostile = Hostile(rng, self.begin)
+        topics = list(self.inputs)
+        weights = np.array([_FEW if topic == DESCRIPTION else 1.0 for topic in topics])
+        weights /= weights.sum()
+        before = self._dropped()
+        for heard in self.heard.values():
+            heard.clear()
         for i in range(messages):
-            topic = topics[rng.integers(len(topics))]
-            self.publishers[topic].publish(hostile.cdr(self.subject.inputs[topic]))
-            if i % 50 == 49:
-                self.probe.spin_for(0.0)
-                self.catch_up()
+            topic = topics[rng.choice(len(topics), p=weights)]
+            with suppress(RCLError):  # DDS sends no more bytes of a type than that has at most
+                self.publishers[topic].publish(hostile.cdr(self.seed[topic]))
+            if i % VOLLEY == VOLLEY - 1:
+                self._request(rng, hostile)
+                self._count()
+        self.catch_up()
+        self._restore()
+        self.sent += messages
+        if self._is_told_by_drops:
+            self.used += messages - (self._dropped() - before)
 
     def catch_up(self) -> None:
-        """Until the node has handled about all that was sent."""
-        self.probe.spin_for(0.005)
-        assert self.node.process.poll() is None, f"the node ended:\n{self.node.log}"
-        for heard in self.heard.values():
-            del heard[:-1000]
+        """Until the node has handled what was sent."""
+        self.request(f"{self.name}/get_state")
+        self._count()
+
+    def request(self, service: str, request: Any = None) -> Any:
+        """The answer to a request."""
+        client = self._clients[service]
+        future = client.call_async(client.srv_type.Request() if request is None else request)
+        end = time.monotonic() + PATIENCE
+        while not future.done():
+            assert self.node.process.poll() is None, f"the node ended:\n{self.node.log}"
+            assert time.monotonic() < end, f"{service}: no answer within {PATIENCE} s"
+            self.probe.spin_for(0.002)
+        return future.result()
 
     def memory(self) -> float:
         """Resident memory of the node [MB]."""
         pages = int(Path(f"/proc/{self.node.pid}/statm").read_text().split()[1])
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
-    def _is_complete(self, topic: str) -> bool:
-        is_rare = topic == "markers" or not self.heard[topic]
-        return is_rare or len(self.heard[topic]) >= EXCHANGES
+    def _request(self, rng: Any, hostile: Hostile) -> None:
+        services = list(self._clients)
+        service = services[rng.integers(len(services))]
+        if rng.random() < _AFRESH and f"{self.name}/reset" in services:
+            service = f"{self.name}/reset"  # after a stamp of the future all others are old
+        kind = self._clients[service].srv_type
+        self.request(service, hostile.request(kind, list(self._parameters)))
+        if kind.__name__.startswith("SetParameters"):
+            self._restore()
+
+    def _present(self) -> dict[str, Any]:
+        """All parameters that may be changed: name -> value."""
+        names = self.request(f"{self.name}/list_parameters").result.names
+        request = GetParameters.Request(names=names)
+        values = self.request(f"{self.name}/get_parameters", request).values
+        return dict(zip(names, values, strict=True))
+
+    def _restore(self) -> None:
+        """Parameters as they were."""
+        from rcl_interfaces.msg import Parameter
+
+        changed = [
+            Parameter(name=name, value=self._parameters[name])
+            for name, value in self._present().items()
+            if serialize_message(value) != serialize_message(self._parameters[name])
+        ]
+        request = SetParameters.Request(parameters=changed)
+        for parameter, result in zip(
+            changed,
+            self.request(f"{self.name}/set_parameters", request).results,
+            strict=True,
+        ):
+            value = parameter_value_to_python(parameter.value)
+            assert result.successful, f"{parameter.name} = {value}: {result.reason}"
+        if self._description and self.publishers[DESCRIPTION].get_subscription_count():
+            self.publishers[DESCRIPTION].publish(self.seed[DESCRIPTION])
+            self.publishers[DESCRIPTION].wait_for_all_acked(Duration(seconds=PATIENCE))
+
+    def _dropped(self) -> int:
+        """How many messages the node says that it has dropped."""
+        health = self.probe.wait_health(lambda h: h.name == self.name)
+        return sum(int(n) for key, n in health.values.items() if key.startswith("dropped."))
+
+    def _count(self) -> None:
+        """Forget answers, but for how many they are."""
+        if not self._is_told_by_drops:
+            self.used += len(next(iter(self.heard.values())))
+        for heard in self.heard.values():
+            heard.clear()
+
+    def _valid(self, topic: str, k: int) -> Any:
+        full = self._full(topic)
+        return self.seeds.of(self.inputs[full], full, k)
 
     def _full(self, topic: str) -> str:
         return topic if topic.startswith("/") else f"{self.name}/{topic}"
 
-    def _keeper(self, topic: str, kind: type) -> Callable[[bytes], None]:
+    def _keeper(self, short: str | None, topic: str, kind: type) -> Callable[[bytes], None]:
         def keep(cdr: bytes) -> None:
-            self.heard[topic].append(cdr)
-            if not all(
-                np.isfinite(part).all() for part in _numbers(deserialize_message(cdr, kind))
-            ):
-                self.lost.append(f"{topic}: {deserialize_message(cdr, kind)}")
+            if short is not None:
+                self.heard[short].append(cdr)
+            message = deserialize_message(cdr, kind)
+            if not all(np.isfinite(part).all() for part in _numbers(message)):
+                self.lost.append(f"{topic}: {message}")
 
         return keep
 
 
+def _kind(name: str) -> Any:
+    """The class of a message or service, such as sensor_msgs/msg/JointState."""
+    package, folder, kind = name.split("/")
+    return getattr(import_module(f"{package}.{folder}"), kind)
+
+
 def _numbers(msg: Any) -> Iterator[Any]:
-    if isinstance(msg, JointState):
-        yield from (msg.position, msg.velocity, msg.effort)
-    elif isinstance(msg, Float64MultiArray):
-        yield msg.data
-    else:
-        yield from ([p.x, p.y, p.z] for marker in msg.markers for p in marker.points)
+    """All floating-point numbers of a message."""
+    for field, of_type in msg.get_fields_and_field_types().items():
+        value = getattr(msg, field)
+        if of_type.startswith(("double", "float", "sequence<double", "sequence<float")):
+            yield value
+        elif hasattr(value, "get_fields_and_field_types"):
+            yield from _numbers(value)
+        elif of_type.startswith("sequence<") and "/" in of_type:
+            for part in value:
+                yield from _numbers(part)
 
 
 @contextmanager
@@ -236,23 +312,34 @@ def under_fire(name: str, domain: int, folder: Path, **parameters: Any) -> Itera
     """A running node, which must end with exit code 0 and without a traceback."""
     subject = SUBJECTS[name]
     scene = SCENES / f"{subject.scene}.yaml"
+    if "\n" in subject.scene:
+        scene = folder / "scene.yaml"
+        scene.write_text(subject.scene)
     file = parameter_file(folder, {"scene": scene, **subject.parameters, **parameters})
-    words = ["-m", "mbd_ros.nodes", subject.module, "--ros-args", "--params-file", str(file)]
+    words = ["-m", "mbd_ros.nodes", subject.node, "--ros-args", "--params-file", str(file)]
     node = NodeProcess([sys.executable, *words], domain)
     try:
         with QuickProbe(domain) as probe:
+            if subject.description:
+                first = probe.node.create_publisher(String, DESCRIPTION, _LATCHED)
+                first.publish(String(data=subject.description.read_text()))
             node.wait_for(ACTIVE)
-            target = Target(subject, node, probe)
+            if subject.description:
+                probe.node.destroy_publisher(first)
+            target = Target(subject, node, probe, scene)
             target.connect()
             yield target
             assert not target.lost, target.lost[:3]
-            for health in probe.health:
+            for health in (health for health in probe.health if health.name == target.name):
                 texts = {
-                    text.strip().lower() for v in health.values.values() for text in v.split(",")
+                    text.strip().lower()
+                    for key, value in health.values.items()
+                    if not key.endswith(_HIDES)
+                    for text in value.split(",")
                 }
                 assert not texts & {"nan", "inf", "-inf"}, health
             assert node.stop() == 0, node.log
-            assert "Traceback" not in node.log
+            assert "Traceback" not in node.log, node.log
     finally:
         if node.process.poll() is None:
             node.process.kill()
@@ -272,17 +359,21 @@ def main() -> int:
         with tempfile.TemporaryDirectory() as folder, claimed_domain() as domain:
             try:
                 with under_fire(name, domain, Path(folder)) as target:
-                    before, used = target.exchange(), target.memory()
+                    before, started = target.exchange(), target.memory()
                     begin = time.perf_counter()
                     target.fire(args.seed, args.messages)
                     took = time.perf_counter() - begin
-                    assert target.exchange() == before, "another answer than before"
+                    share = target.used / target.sent
                     line += (
-                        f", {args.messages / took:.0f}/s, {used:.0f} -> {target.memory():.0f} MB"
+                        f", {args.messages / took:.0f}/s, {100.0 * share:.0f} % used"
+                        f", {started:.0f} -> {target.memory():.0f} MB"
                     )
+                    assert target.exchange() == before, "another answer than before"
+                    assert share >= LEAST, f"less than {100.0 * LEAST:.0f} % used"
             except AssertionError as error:
                 failed += 1
-                line += f": FAILED: {error}"
+                reason = str(error)
+                line += f": FAILED: {reason[:300]} .. {reason[-3000:]}"
         sys.stdout.write(f"{line}\n")
         sys.stdout.flush()
     return int(failed > 0)

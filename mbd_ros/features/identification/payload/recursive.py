@@ -22,6 +22,7 @@ from mbd_ros.core.model.inertial_parameters import (
 )
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import NANOSECOND, Array
+from mbd_ros.errors import SolveError
 from mbd_ros.features.identification.regressor import Regressor
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.methods.signals.differentiation import LowPass
@@ -31,6 +32,7 @@ _LOOKS = 8.0  # updates in a period of the cut-off
 _BAND = 2.0  # independent samples for one period of the cut-off
 _SHOWN = 0.3  # of what was open before: what is known better counts as shown
 _START = 0.05  # of the efforts: residual before any is known
+_TOO_LARGE = "motion and efforts are too large for an estimate"
 _LEAST = 1.0e-4  # of a body's pseudo-inertia before any data: what a body keeps at least
 
 
@@ -115,6 +117,9 @@ class RecursivePayload:
 
         Returns:
             Whether the estimate is new.
+
+        Raises:
+            SolveError: No finite estimate explains the sample; the estimate stays as it was.
         """
         signal = np.concatenate((position, effort))
         if self._stamp is None:
@@ -143,18 +148,32 @@ class RecursivePayload:
         kept = math.exp(-dt / self._memory)
         worth = min(1.0, _BAND * self._cutoff * dt)
         weighted = worth * X.T / np.square(sigma)
-        self._information = kept * self._information + weighted @ X
-        self._b = kept * self._b + weighted @ left
-        self.covariance = np.linalg.inv(self._information + self._prior)
-        self.numbers = self.covariance @ self._b
+        information = kept * self._information + weighted @ X
+        b = kept * self._b + weighted @ left
+        try:
+            covariance = np.linalg.inv(information + self._prior)
+        except np.linalg.LinAlgError as error:
+            raise SolveError(_TOO_LARGE) from error
+        numbers = covariance @ b
+        if not np.isfinite(covariance).all() or not np.isfinite(numbers).all():
+            raise SolveError(_TOO_LARGE)
+        self._information, self._b = information, b
+        self.covariance, self.numbers = covariance, numbers
         self.updates += 1
 
     def _scatter(self, left: Array, effort: Array, dt: float) -> Array:
-        """Deviation of each joint, from residuals of late."""
+        """Deviation of each joint, from residuals of late.
+
+        Raises:
+            SolveError: They are not finite.
+        """
         kept = math.exp(-dt / self._memory)
         floor = _START * float(np.abs(effort).max(initial=0.0)) + 1.0e-9
-        self._power = kept * self._power + np.square(left)
-        self._weight = kept * self._weight + 1.0
-        self.deviation = np.sqrt(self._power / self._weight)
-        share = min(self._weight / (10.0 + self._weight), 1.0)
-        return np.sqrt(share * np.square(self.deviation) + (1.0 - share) * floor**2) + 1.0e-9
+        power, weight = kept * self._power + np.square(left), kept * self._weight + 1.0
+        share = min(weight / (10.0 + weight), 1.0)
+        deviation = np.sqrt(power / weight)
+        sigma = np.sqrt(share * np.square(deviation) + (1.0 - share) * (floor * floor)) + 1.0e-9
+        if not np.isfinite(sigma).all():
+            raise SolveError(_TOO_LARGE)
+        self._power, self._weight, self.deviation = power, weight, deviation
+        return np.asarray(sigma)
