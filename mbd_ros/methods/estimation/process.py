@@ -18,7 +18,7 @@ from mbd_ros.core.contracts import Measures, Now, Sensor
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.state import Array, Evaluation, State
-from mbd_ros.errors import ModelError
+from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.methods.estimation.kalman_update import Bools, Innovation, updated
 from mbd_ros.methods.estimation.state_tangent import StateTangent
 from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
@@ -390,6 +390,7 @@ class SensorSet:
 
         Raises:
             ModelError: A sensor without noise; names it.
+            SolveError: A state at which it is not finite.
         """
         if self._R is not None and not self._noise_varies:
             return self._R
@@ -398,6 +399,8 @@ class SensorSet:
         R = np.zeros((self.m, self.m))
         for sensor, mine in zip(self.sensors, self.slices, strict=True):
             R[mine, mine] = sensor.covariance(k, x)
+            if not np.isfinite(R[mine, mine]).all():
+                raise SolveError(f"sensor {sensor.name}: the estimated state is not finite")
             if not (R[mine, mine].diagonal() > 0.0).all():
                 raise ModelError(
                     f"sensor {sensor.name}: an estimator needs its noise, accepted: > 0"
