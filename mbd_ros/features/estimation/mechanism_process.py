@@ -18,7 +18,7 @@ from mbd_ros.core.contracts import Sensor
 from mbd_ros.core.dynamics.system import Derivatives, System
 from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.core.thresholds import TINY
-from mbd_ros.errors import ModelError
+from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.features.estimation.unknowns import UnknownInertias, UnknownMass
 from mbd_ros.methods.estimation.kalman_update import updated
 from mbd_ros.methods.estimation.process import Bounded, Observation, SensorSet, Transition
@@ -28,8 +28,11 @@ from mbd_ros.methods.simulation.simulation import Simulation
 _PIECE = 0.01  # s, over which A is taken for constant
 _SMALL = 0.25  # of |A dt|, where its exponential is not halved: twelve terms leave 1e-16
 _SERIES = np.array([1.0 / math.factorial(i) for i in range(12)]).reshape(3, 4)
-_STAGE = 0.1  # rad, m or their rates in one step to the first state
+_STAGE = 0.1  # rad, m or their rates in one step to the first state, unless it is far away
+_SHARE = 0.02  # of the way, in one step, if that is longer
+_FARTHEST = 1.0e4  # rad, m or their rates, from where on nothing is sought
 _SEARCHES = 2000  # steps to the first state, at most
+_STALLED = 50  # steps without a shorter one, after which no more is sought
 _FOUND = 1.0e-9  # last step to it [m, rad and rates]
 
 
@@ -113,16 +116,22 @@ class MechanismProcess:
             P: Covariance of the prior, shape (n, n).
 
         Raises:
-            SolveError: No consistent state is near.
+            SolveError: No consistent state is near, or the measurement is too far away.
         """
-        y = x
+        y, shortest, since = x, np.inf, 0
         for _ in range(_SEARCHES):
             seen = self.sensors.observe(y, None, self.tangent)
             error = self.sensors.near(values, seen.y) - seen.y
             step = updated(P, seen.H, seen.R, error).step
             longest = float(np.abs(step).max())
-            y = self.plus(y, step * min(1.0, _STAGE / max(longest, TINY)))
-            if longest <= _FOUND:
+            if not longest <= _FARTHEST:
+                raise SolveError(
+                    f"the measurement is {longest:.3g} rad or m away from the state, accepted: "
+                    f"{_FARTHEST:g}"
+                )
+            shortest, since = (longest, 0) if longest < shortest else (shortest, since + 1)
+            y = self.plus(y, step * min(1.0, max(_STAGE / max(longest, TINY), _SHARE)))
+            if longest <= _FOUND or since >= _STALLED:
                 break
         return y
 
