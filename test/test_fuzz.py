@@ -1,8 +1,10 @@
 """A short run of `make fuzz`, and what it and others have found, kept."""
 
+import io
 import json
 import random
 
+import numpy as np
 import pytest
 from fuzz import tables, urdf
 from fuzz.kinds import KINDS, RANDOM, SCENE, case_of, read_by, readers, seeds_of
@@ -59,6 +61,37 @@ def test_each_reader_has_a_seed():
     """But for those that start nodes, or take minutes, behind a reader of another kind."""
     reached = {reader for kind in KINDS for seed in seeds_of(kind) for reader in read_by(seed)}
     assert readers() - reached == {"replay bag", "report readme"}
+
+
+def hostile(kind, index=0, **files):
+    """The case of a seed with other files; `m_csv` stands for m.csv."""
+    seed = seeds_of(kind)[index]
+    other = {name.replace("_", "."): data for name, data in files.items()}
+    assert other.keys() <= seed.files.keys()
+    return Case(seed.words, {**seed.files, **other}, seed.out, seed.behind)
+
+
+def with_number(kind, index, name, row, number):
+    """The case of a seed whose table has one other number, in the last column."""
+    lines = seeds_of(kind)[index].files[name].decode().splitlines()
+    cells = lines[row].split(",")
+    lines[row] = ",".join([*cells[:-1], number])
+    return hostile(kind, index, **{name: "\n".join([*lines, ""]).encode()})
+
+
+def arrays_of(kind, index, name, **changes):
+    """The case of a seed whose .npz has other arrays."""
+    with np.load(io.BytesIO(seeds_of(kind)[index].files[name])) as file:
+        arrays = {**file}
+    target = io.BytesIO()
+    np.savez(
+        target,
+        **{
+            key: changes.get(key.replace("/", "_").replace(".", "_"), array)
+            for key, array in arrays.items()
+        },
+    )
+    return hostile(kind, index, **{name: target.getvalue()})
 
 
 J = PENDULUM.joints[0]
@@ -157,6 +190,45 @@ CORPUS = {
 }
 
 
+FOUND = {  # made when they are asked for, from the seeds of a kind
+    "parameters that are no text": lambda: hostile("params-file", p_yaml=b"a: \xa2"),
+    "parameters nested deep": lambda: hostile("params-file", p_yaml=b"[" * 100_000),
+    "parameters that name themselves": lambda: hostile(
+        "params-file", p_yaml=b"&a {b: *a, [c]: 1}"
+    ),
+    "an array of one number": lambda: arrays_of(
+        ".npz", 0, "m.npz", samples_j1_velocity=np.float64(1)
+    ),
+    "an array of complex numbers": lambda: arrays_of(
+        ".npz", 0, "m.npz", samples_j1_velocity=np.ones(8, complex)
+    ),
+    "an array with fewer rows": lambda: arrays_of(
+        ".npz", 1, "m.npz", samples_j1_velocity=np.ones(3)
+    ),
+    "a checkpoint of one number": lambda: arrays_of("sample", 1, "c.npz", q0=np.float64(1)),
+    "a checkpoint of texts": lambda: arrays_of("sample", 1, "c.npz", dt0=np.array("x")),
+    "an effort of 1e200 that is identified": lambda: with_number(
+        "identify", 0, "m.csv", 5, "1e200"
+    ),
+    "an effort of 1e200 that weighs a payload": lambda: with_number(
+        "payload", 0, "m.csv", 5, "1e200"
+    ),
+    "an effort of 1e300 that is followed": lambda: with_number("follow", 0, "m.csv", 3, "1e300"),
+    "an acceleration of 1e200 of an arm with muscles": lambda: with_number(
+        "muscles", 2, "m.csv", 2, "1e200"
+    ),
+    "a tension of 1e200": lambda: with_number("loads", 3, "f.csv", 2, "1e200"),
+    "a load of 1e308": lambda: with_number("simulate", 1, "w.csv", 2, "1e308"),
+    "loads that begin late": lambda: with_number("muscles", 4, "w.csv", 1, "0"),
+    "a plot of a column that is not there": lambda: hostile("plot", m_csv=b"time\n0\n1\n"),
+}
+
+
 @pytest.mark.parametrize("name", CORPUS)
 def test_what_was_found_stays_mended(name):
     behaves(CORPUS[name])
+
+
+@pytest.mark.parametrize("name", FOUND)
+def test_what_was_found_in_a_seed_stays_mended(name):
+    behaves(FOUND[name]())

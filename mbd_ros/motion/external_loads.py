@@ -160,8 +160,11 @@ def _turned(samples: WrenchSamples, source: Source, axes: str) -> WrenchSamples:
     return samples._replace(wrench=parts.reshape(-1, 6))
 
 
-def wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
+def wrench_at(where: str, name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
     """A load at the stamps of a motion, shape (n, 6).
+
+    Args:
+        where: File, for the message.
 
     Raises:
         DataError: It does not cover the motion.
@@ -170,8 +173,8 @@ def wrench_at(name: str, samples: WrenchSamples, stamps: np.ndarray) -> Array:
     lacking = np.flatnonzero(np.isnan(wrench[:, 0]))
     if len(lacking):
         raise DataError(
-            f"wrench '{name}' covers {samples.stamps[0] / 1e9} to {samples.stamps[-1] / 1e9} s, "
-            f"not the motion at {stamps[lacking[0]] / 1e9} s"
+            f"{where}: wrench '{name}' covers {samples.stamps[0] / 1e9} to "
+            f"{samples.stamps[-1] / 1e9} s, not the motion at {stamps[lacking[0]] / 1e9} s"
         )
     return wrench
 

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.kinematics.poses import with_steady_signs
+from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.body_columns import ACCELERATION, POSE, TWIST, names_of
@@ -35,6 +36,7 @@ _IN_MEMORY = "the result"
 _FROM_MARKERS = "kinematics"  # the job
 UNITS = {"m": 1.0, "mm": 1.0e-3, "cm": 1.0e-2}
 _AXES = ("x", "y", "z")
+_OF_JOINTS = ("position", "velocity", "acceleration", "effort", "command")
 _ENDINGS = (".{}", ".position_{}", ".position.{}", "_{}")  # of the columns of a marker
 _FAR = 50.0  # m from one marker to another of a frame: no person and no laboratory has that
 
@@ -80,7 +82,10 @@ def read_motion(
         from mbd_ros.files.bags.bag_recordings import Wanted, bag_motion
 
         wanted = Wanted(tuple(joints), tuple(needed), bodies, frozenset(members))
-        return bag_motion(Path(source), topic, wanted)
+        recorded = bag_motion(Path(source), topic, wanted)
+        fields = (getattr(recorded.motion, key) for key in _OF_JOINTS)
+        refuse_huge(str(source), joints, *fields)
+        return recorded
     table, where, labels, remarks, of_laboratory = _samples(source, (), joints, sliding)
     lacking: list[str] = []
     if labels is not None and assumed is not None:
@@ -127,11 +132,38 @@ def _samples(
     _check_columns(table, where, [TIME])
     if not table.rows:
         raise DataError(f"{where}: table {MAIN} has no row")
+    plain = {name: column for name, column in table.items() if column.ndim == 1}
+    refuse_huge(where, list(plain), *plain.values())
     if not is_storage(source):
         return _Samples(table, where, of_laboratory=source.metadata.get("job") == _FROM_MARKERS)
     unused, remarks = tuple(other_labels(table, joints)), tuple(source.metadata[REMARKS])
     table = joint_columns(source, table, where, joints, sliding)
     return _Samples(table, where, unused, remarks, of_laboratory=True)
+
+
+def refuse_huge(where: str, names: Sequence[str], *columns: Array | None) -> None:
+    """Refuse numbers whose products with others are no numbers any more.
+
+    Args:
+        where: File, for the message.
+        names: Of the last axis of columns with several numbers a row, else of the columns.
+        columns: Numbers, a row a sample; those that are not finite are refused, or left out,
+            elsewhere.
+
+    Raises:
+        DataError: Names file, column and number.
+    """
+    for i, values in enumerate(columns):
+        if values is None or values.dtype.kind != "f":
+            continue
+        huge = np.isfinite(values) & (np.abs(values) > LARGEST)
+        if huge.any():
+            at = tuple(np.argwhere(huge)[0])
+            name = names[at[-1]] if len(at) > 1 else names[i]
+            raise DataError(
+                f"{where}: {name} is {values[at]:g} in row {at[0] + 1}, accepted are sizes up to "
+                f"{LARGEST:g}"
+            )
 
 
 class _Samples(NamedTuple):
@@ -236,7 +268,10 @@ def read_wrenches(
     if not isinstance(source, Result) and is_bag(source):
         from mbd_ros.files.bags.bag_recordings import bag_wrenches
 
-        return bag_wrenches(Path(source), names, Counter() if dropped is None else dropped)
+        found = bag_wrenches(Path(source), names, Counter() if dropped is None else dropped)
+        for name, samples in found.items():
+            refuse_huge(str(source), [f"wrench {name}"] * 6, samples.wrench)
+        return found
     points = {f"{name}.point.{axis}" for name in names for axis in "xyz"}
     table, where, *_ = _samples(source, points, prefers=_WRENCHES)
     stamps = motion_stamps(table, where)
@@ -298,6 +333,7 @@ def read_capture(source: Source, unit: str | None = None) -> Capture:
         raise DataError(f"{where}: markers are in {told} there, not in {unit}: leave the unit out")
     scales = [UNITS[unit or told or "m"] for _, told in found.values()]
     places = places * np.array(scales)[:, None]
+    refuse_huge(where, [*found], *places.swapaxes(0, 1))
     times = np.asarray(table[TIME], dtype=np.float64)
     if not len(times) or not np.isfinite(times).all() or (np.diff(times) <= 0.0).any():
         raise DataError(f"{where}: column {TIME}: must be finite and increase from row to row")

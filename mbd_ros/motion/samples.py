@@ -95,7 +95,7 @@ def observe_motion(
     if not len(samples.stamps):
         raise DataError(f"{where}: no sample can be used")
     samples = _within(where, samples, task.time_range)
-    wrenches = [wrench_at(name, load, samples.stamps) for name, load in loads.items()]
+    wrenches = [wrench_at(where, name, load, samples.stamps) for name, load in loads.items()]
     if external is not None:
         wrenches = external.at(samples.stamps)
     return Observed(motion, samples, wrenches, cutoff, derivatives)

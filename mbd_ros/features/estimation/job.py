@@ -288,7 +288,8 @@ def recorded_inputs(
         u = np.tile(estimation.scene.inputs.safe, (len(motion.stamps), 1))
     samples, _ = read_loads(estimation.scene, wrenches, wrenches)
     for name, one in samples.items():
-        u[:, estimation.scene.inputs.slots[name]] = wrench_at(name, one, motion.stamps)
+        slots = estimation.scene.inputs.slots[name]
+        u[:, slots] = wrench_at(name_of(wrenches), name, one, motion.stamps)
     return list(u)
 
 

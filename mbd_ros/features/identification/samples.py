@@ -171,7 +171,10 @@ def pieces(scene: Scene, recorded: Recorded, band: float | None) -> Iterator[Pie
         nothing = np.full((len(motion.stamps), n), np.nan)
         measured = nothing if motion.effort is None else motion.effort[:, :n]
         rate = nothing if motion.velocity is None else motion.velocity[:, :n]
-        loads = [wrench_at(name, load, samples.stamps) for name, load in recorded.loads.items()]
+        loads = [
+            wrench_at(recorded.where, name, load, samples.stamps)
+            for name, load in recorded.loads.items()
+        ]
         low = measured
         if band is not None and recorded.derivatives != "given":
             low = _low_passed(motion, measured, band)

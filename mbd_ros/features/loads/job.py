@@ -35,7 +35,7 @@ from mbd_ros.jobs.progress import Say, Watch, progress, watching
 from mbd_ros.methods.inverse_dynamics.efforts import listed
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.inverse_solution import Solved, solve_motion
-from mbd_ros.motion.recordings import Source, metadata_of, name_of
+from mbd_ros.motion.recordings import Source, metadata_of, name_of, refuse_huge
 from mbd_ros.motion.samples import Task
 from mbd_ros.motion.stance import stance_of
 from mbd_ros.scene.built_scene import Scene
@@ -377,7 +377,7 @@ def tensions_at(
     found = np.zeros((len(stamps), len(paths)))
     source = motion if given is None else given
     table = _table(source)
-    columns = {} if table is None else _columns(table, paths)
+    columns = {} if table is None else _columns(name_of(source), table, paths)
     if given is not None and not columns:
         wanted = listed([f"{name}.{quantity}" for name in paths for quantity in _QUANTITIES])
         raise DataError(f"--muscle-forces {name_of(given)}: no column {wanted or 'is asked for'}")
@@ -402,7 +402,7 @@ def _table(source: Source) -> Table | None:
     return None if is_bag(source) else read_result(File(source))[MAIN]
 
 
-def _columns(table: Table, paths: Mapping[str, Path]) -> dict[str, Array]:
+def _columns(where: str, table: Table, paths: Mapping[str, Path]) -> dict[str, Array]:
     found = {}
     for name in paths:
         for quantity in _QUANTITIES:
@@ -410,6 +410,7 @@ def _columns(table: Table, paths: Mapping[str, Path]) -> dict[str, Array]:
             if name not in found and column in table:
                 values = np.asarray(table[column], dtype=np.float64)
                 if not np.isfinite(values).all():
-                    raise DataError(f"column {column} has gaps")
+                    raise DataError(f"{where}: column {column} has gaps")
+                refuse_huge(where, [column], values)
                 found[name] = values
     return found

@@ -233,7 +233,9 @@ def remarks_of(solver: MarkerKinematics, capture: Capture, seen: Seen, fit: Fit)
             f"{solver.labels[marker]} by {1e3 * apart[frame, marker]:.4g} mm at "
             f"t = {capture.times[frame]:.9g} s"
         )
-    yield f"last steps at most {fit.remainder.max():.3g} rad or m (conditions of the optimum)"
+    steps = fit.remainder[np.isfinite(fit.remainder)]  # others never took a whole step
+    if len(steps):
+        yield f"last steps at most {steps.max():.3g} rad or m (conditions of the optimum)"
     lost = np.flatnonzero(~fit.settled)
     if len(lost):
         yield (

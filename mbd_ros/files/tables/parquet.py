@@ -78,8 +78,18 @@ def _packed(arrow: Any, values: Any) -> Any:
 
 
 def _unpacked(read: Any, entry: dict[str, Any]) -> Any:
-    values = read.column(entry["name"]).combine_chunks()
-    for _ in entry["shape"]:
+    """The values of a column in the shape and type that its description says.
+
+    Raises:
+        ValueError: They have others.
+    """
+    name, shape, kind = entry["name"], entry["shape"], np.dtype(entry["dtype"])
+    if kind.kind not in "fiubU" or not all(isinstance(size, int) for size in shape):
+        raise ValueError(f"column {name}: {kind} of shape {shape}")
+    values = read.column(name).combine_chunks()
+    for size in shape:
+        if getattr(values.type, "list_size", None) != size:
+            raise ValueError(f"column {name}: {values.type} are not {size} numbers a row")
         values = values.flatten()
-    plain = np.array(values.to_numpy(zero_copy_only=False), dtype=np.dtype(entry["dtype"]))
-    return plain.reshape(read.num_rows, *entry["shape"])
+    plain = np.array(values.to_numpy(zero_copy_only=False), dtype=kind)
+    return plain.reshape(read.num_rows, *shape)

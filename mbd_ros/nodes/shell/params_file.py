@@ -4,12 +4,13 @@ import math
 import re
 import textwrap
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from itertools import pairwise
 from typing import Any
 
 import yaml
 
+from mbd_ros.errors import printable
 from mbd_ros.nodes.shell.parameters import Parameter
 from mbd_ros.regular_file import open_regular
 
@@ -83,36 +84,43 @@ def file_warnings(argv: Sequence[str], node_name: str) -> list[str]:
         try:
             with open_regular(file) as text:
                 tree = yaml.compose(text, Loader=yaml.SafeLoader)
-        except yaml.YAMLError as error:
+        except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as error:
             lines.append(f"{file}: not checked for duplicate and unused keys: {error}")
             continue
         lines += [f"{file}: key '{key}' is given twice, the last wins" for key in _twice(tree)]
-        keys = sorted(set(_node_keys(tree, "")))
+        keys = sorted(set(_node_keys(tree, "", set())))
         if not any(_matches(key, node_name) for key in keys):
             lines.append(
                 f"{file}: no key is this node: the keys {', '.join(keys)} do not match; "
                 f"accepted: {node_name} or /**"
             )
-    return lines
+    return [printable(line) for line in lines]
 
 
-def _entries(tree: Any) -> Iterable[tuple[Any, Any]]:
-    return tree.value if isinstance(tree, yaml.MappingNode) else ()
+def _entries(tree: Any) -> list[tuple[str, Any]]:
+    """Keys that are texts, with the nodes that they name."""
+    pairs = tree.value if isinstance(tree, yaml.MappingNode) else ()
+    return [(key.value, value) for key, value in pairs if isinstance(key, yaml.ScalarNode)]
 
 
 def _twice(tree: Any) -> Iterator[str]:
-    counts = Counter(key.value for key, _ in _entries(tree))
-    yield from (key for key, count in counts.items() if count > 1)
-    for _, value in _entries(tree):
-        yield from _twice(value)
+    """Keys that stand twice in a mapping; one that several aliases name is looked at once."""
+    waiting, seen = [tree], {id(tree)}
+    while waiting:
+        entries = _entries(waiting.pop())
+        counts = Counter(key for key, _ in entries)
+        yield from (key for key, count in counts.items() if count > 1)
+        waiting += [value for _, value in entries if id(value) not in seen]
+        seen |= {id(value) for _, value in entries}
 
 
-def _node_keys(tree: Any, path: str) -> Iterator[str]:
+def _node_keys(tree: Any, path: str, seen: set[int]) -> Iterator[str]:
+    seen.add(id(tree))
     for key, value in _entries(tree):
-        if key.value == "ros__parameters":
+        if key == "ros__parameters":
             yield path
-        else:
-            yield from _node_keys(value, f"{path}/{key.value.strip('/')}")
+        elif id(value) not in seen:
+            yield from _node_keys(value, f"{path}/{key.strip('/')}", seen)
 
 
 def _matches(key: str, node_name: str) -> bool:

@@ -27,6 +27,7 @@ SECONDS = 10.0  # of work: others may use the machine, too
 PATIENCE = 120.0  # s in all, for one that waits and does not work
 LONGEST = 2000  # characters of a message
 NOT_FINITE = re.compile(r"(?<![\w.])(?<!\.\. )[-+]?(nan|inf)(?![\w.]| \.\.)", re.IGNORECASE)
+_NAME = re.compile(r"name[=:] *[^ >,]*")
 CONTROL = re.compile(r"[^\n\x20-\x7e\xa0-\u2027\u202f-\u2065\u2070-\ufefe\uff00-\U0010ffff]")
 EARLIER = b"time,earlier\n0.0,1.0\n"
 
@@ -191,7 +192,8 @@ def _of_streams(
         found.append(f"control character: {around!r}")
     shown = ended.said.replace(folder, "")
     word = NOT_FINITE.search(shown)
-    is_name = word is not None and f"'{word.group()}'".encode() in given
+    named = [f"{quote}{word.group()}{quote}" for quote in "'\"" if word is not None]
+    is_name = any(name.encode() in given for name in named)
     if ended.code == 0 and word is not None and not is_name:
         line = shown[shown.rfind("\n", 0, word.start()) + 1 :].partition("\n")[0]
         found.append(f"exit 0 with {word.group()}: {line[:150]!r}")
@@ -202,7 +204,7 @@ def _of_result(code: int, out: Path) -> list[str]:
     """What is wrong with a file that was there before, or with a new folder."""
     if out.name == "o":
         texts = (path for path in out.glob("*") if path.suffix in (".yaml", ".urdf", ".csv"))
-        words = {path.name: NOT_FINITE.search(path.read_text()) for path in texts}
+        words = {path.name: NOT_FINITE.search(_NAME.sub("", path.read_text())) for path in texts}
         return [f"exit {code} with {word.group()} in {n}" for n, word in words.items() if word]
     data = out.read_bytes()
     if code == 2:
