@@ -9,7 +9,8 @@ import pytest
 
 from mbd_ros import gzip_file, npz_file
 from mbd_ros.errors import DataError
-from mbd_ros.files.table import read_result
+from mbd_ros.files.table import MAIN, Column, Result, Table, read_result
+from mbd_ros.files.tables import parquet
 from mbd_ros.gzip_file import unpacked_gzip
 from mbd_ros.npz_file import read_arrays
 
@@ -140,3 +141,17 @@ def test_packed_tables_are_read_within_the_bound(tmp_path, monkeypatch, name):
     (tmp_path / name).write_bytes(packer.compress(content + b"\n" * 2_000_000) + packer.flush())
     with pytest.raises(DataError, match=f"{name}: "):
         read_result(tmp_path / name)
+
+
+def test_columns_of_parquet_are_not_unpacked_beyond_the_bound(tmp_path, monkeypatch):
+    """A value that repeats takes no room in the file."""
+    monkeypatch.setattr(parquet, "MAX_UNPACKED", 1_000_000)
+    fits, numbers, texts = (tmp_path / f"{name}.parquet" for name in ("fits", "numbers", "texts"))
+    Result({MAIN: Table([Column("a", np.zeros(100_000))])}).to(fits)
+    assert len(read_result(fits)[MAIN]["a"]) == 100_000
+    Result({MAIN: Table([Column("a", np.zeros(200_000))])}).to(numbers)
+    Result({MAIN: Table([Column("a", np.full(3_000, "x" * 1_000))])}).to(texts)
+    for file in (numbers, texts):
+        assert file.stat().st_size < 200_000
+        with pytest.raises(DataError, match="more than 1000000 bytes when unpacked"):
+            read_result(file)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from pathlib import Path, PurePosixPath
+from typing import NamedTuple
 
 from mbd_ros.core.model.robot import BASE
 from mbd_ros.errors import DataError, SceneError
@@ -15,8 +16,11 @@ JOINT_STATES, ODOMETRY = "joint_states", "odometry"
 WORLD = "world"  # frame in which poses of free bodies are given
 
 
-def check_source(path: Path) -> None:
+def check_source(path: Path) -> BagFiles:
     """Refuse paths that are no bag, and a folder whose files are not all inside of it.
+
+    Returns:
+        Its files.
 
     Raises:
         DataError: What is wrong with which file.
@@ -25,11 +29,25 @@ def check_source(path: Path) -> None:
         raise DataError(f"{path}: does not exist")
     if not path.is_dir() and (path.suffix not in SUFFIXES or not path.is_file()):
         raise DataError(f"{path}: not a bag, expected a rosbag2 folder, .mcap or .db3 file")
-    for file in _storage_files(path) if path.is_dir() else [path]:
+    bag = _bag_files(path) if path.is_dir() else BagFiles([path], is_packed=False)
+    for file in bag.storage:
         check_sqlite_path(file)
+    return bag
 
 
-def _storage_files(folder: Path) -> list[Path]:
+class BagFiles(NamedTuple):
+    """What a bag consists of.
+
+    Attributes:
+        storage: Files with messages.
+        is_packed: Whether each of them is compressed as a whole.
+    """
+
+    storage: list[Path]
+    is_packed: bool
+
+
+def _bag_files(folder: Path) -> BagFiles:
     metadata = folder / "metadata.yaml"
     if not metadata.is_file():
         raise DataError(f"{folder}: no metadata.yaml in it, so not a rosbag2 folder")
@@ -48,7 +66,7 @@ def _storage_files(folder: Path) -> list[Path]:
     for file in files:
         if not file.resolve().is_relative_to(folder.resolve()):
             raise DataError(f"{file}: is a link that leads out of the bag")
-    return files[1:]
+    return BagFiles(files[1:], str(info.get("compression_mode")).lower() == "file")
 
 
 def check_target(path: Path) -> None:

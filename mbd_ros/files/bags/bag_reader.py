@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -23,8 +23,9 @@ from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 from rosbags.serde import SerdeError
 
 from mbd_ros.errors import DataError
-from mbd_ros.files.bag_paths import check_source
+from mbd_ros.files.bag_paths import BagFiles, check_source
 from mbd_ros.files.bags.bag_types import TYPES, from_cdr, type_hash
+from mbd_ros.files.bags.bag_unpacking import Allowance
 from mbd_ros.files.bags.mcap_chunks import chunks_in_order, indexed, pieces_of, scanned
 
 _ROWS = 4096  # messages of a block, where the file has none of its own
@@ -91,7 +92,7 @@ class RawMessage(NamedTuple):
 @contextmanager
 def chosen(
     path: Path, topics: Mapping[str, str] | None
-) -> Iterator[tuple[Reader, list[Any], Counter[str]]]:
+) -> Iterator[tuple[CountingReader, list[Any], Counter[str]]]:
     """Reader, connections of the wanted topics, and the number of their messages by topic.
 
     Whoever reads messages takes them off these numbers.
@@ -114,11 +115,50 @@ def chosen(
             raise DataError(f"{path}: truncated or corrupt, messages lost by topic: {lost}")
 
 
+class CountingReader(Reader):
+    """A reader of rosbags that counts what it unpacks, and refuses more than an `Allowance`.
+
+    Args:
+        path: The bag.
+        files: Those that it consists of.
+    """
+
+    def __init__(self, path: Path, files: BagFiles) -> None:
+        super().__init__(path)
+        self.allowance = Allowance(path, files.storage)
+        self._packed = files.storage if files.is_packed else []
+
+    def open(self) -> None:
+        """Open the bag; what is compressed as a whole is unpacked."""
+        for file in self._packed:
+            self.allowance.count_file(file)
+        with self.allowance.counting():
+            super().open()
+
+    def messages(
+        self,
+        connections: Collection[Any] = (),
+        start: int | None = None,
+        stop: int | None = None,
+    ) -> Generator[tuple[Any, int, bytes], None, None]:
+        """Connection, log time and bytes of messages."""
+        if self.compression_mode != "message":
+            stream = super().messages(connections, start, stop)
+            yield from self.allowance.counted(stream)
+            return
+        for storage in self.storage.storages:  # type: ignore[attr-defined]
+            pairs = itertools.product(storage.connections, connections or self.connections)
+            wanted = {own.id: known for own, known in pairs if _is_same(own, known)}
+            own = [connection for connection in storage.connections if connection.id in wanted]
+            stream = self.allowance.counted(storage.messages(own, start, stop)) if own else ()
+            for connection, log_time, packed in stream:
+                yield wanted[connection.id], log_time, self.allowance.message(packed)
+
+
 @contextmanager
-def _reading(path: Path) -> Iterator[Reader]:
+def _reading(path: Path) -> Iterator[CountingReader]:
     try:
-        check_source(path)
-        with Reader(path) as reader:
+        with CountingReader(path, check_source(path)) as reader:
             yield reader
     except CORRUPT as error:
         reason = f"{type(error).__name__}: {error}".rstrip(": ")
@@ -219,7 +259,7 @@ class RawBlock(NamedTuple):
             yield log_time, bytes(whole[slice(*place)])
 
 
-def _blocks(reader: Reader, connections: list[Any]) -> Iterator[RawBlock]:
+def _blocks(reader: CountingReader, connections: list[Any]) -> Iterator[RawBlock]:
     """Storage by storage where these follow each other in time."""
     storages = _storages(reader, connections)
     spans = [(one.metadata.start_time, one.metadata.end_time - 1) for one, _ in storages]
@@ -234,12 +274,13 @@ def _blocks(reader: Reader, connections: list[Any]) -> Iterator[RawBlock]:
             continue
         chunks = chunks_in_order(storage, own)
         if chunks is None:
-            stream = storage.messages(own)
+            stream = reader.allowance.counted(storage.messages(own))
             yield from _joined((log_time, cdr) for _, log_time, cdr in stream)
         for chunk in chunks or ():
-            found = indexed(storage, chunk, own)
+            with reader.allowance.counting():
+                found = indexed(storage, chunk, own)
             if found is None:
-                yield from _joined(scanned(storage, chunk, own))
+                yield from _joined(reader.allowance.counted(scanned(storage, chunk, own)))
             else:
                 yield RawBlock(*found)
 

@@ -9,9 +9,12 @@ from mbd_ros.errors import DataError, install_hint
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.files.tables.description import column_of, describe, described
 from mbd_ros.files.text_file import replacing
+from mbd_ros.gzip_file import MAX_UNPACKED
 from mbd_ros.regular_file import check_regular
 
 _KEY = b"mbd_ros"
+_ROWS, _TEXT_ROWS = 2**16, 2**10  # that are unpacked at once; a text may be long
+_WIDTHS = {"INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "INT96": 12}  # bytes of a value
 
 
 class Parquet:
@@ -54,10 +57,10 @@ class Parquet:
         Raises:
             DataError: Another file, or one that is cut.
         """
-        arrow, storage = self._arrow, self._storage
+        arrow = self._arrow
         try:
             check_regular(path)
-            read = storage.ParquetFile(path).read()
+            read = self._read(path)
             text = (read.schema.metadata or {}).get(_KEY)
             if text is None:
                 plain = zip(read.column_names, read.columns, strict=True)
@@ -68,6 +71,29 @@ class Parquet:
         except (arrow.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
             raise DataError(f"{path}: not a parquet file, or corrupt ({error})") from error
         return Result({name: Table(columns)}, metadata)
+
+    def _read(self, path: Path) -> Any:
+        """The table of a file, of at most 2 GB unpacked, or the size of the file if that is more.
+
+        A repeated value takes no room in a file, and what the file says of its sizes may be wrong.
+        """
+        limit = max(MAX_UNPACKED, path.stat().st_size)
+        with self._storage.ParquetFile(path) as file:
+            about = file.metadata
+            groups = [about.row_group(i) for i in range(about.num_row_groups)]
+            chunks = [group.column(i) for group in groups for i in range(group.num_columns)]
+            said = sum(chunk.num_values * _WIDTHS.get(chunk.physical_type, 0) for chunk in chunks)
+            is_text = any(chunk.physical_type == "BYTE_ARRAY" for chunk in chunks)
+            batches, size = [], 0
+            if said <= limit:
+                for batch in file.iter_batches(_TEXT_ROWS if is_text else _ROWS):
+                    batches.append(batch)
+                    size += batch.nbytes
+                    if size > limit:
+                        break
+            if max(said, size) > limit:
+                raise DataError(f"{path}: more than {limit} bytes when unpacked")
+            return self._arrow.Table.from_batches(batches, file.schema_arrow)
 
 
 def _packed(arrow: Any, values: Any) -> Any:
