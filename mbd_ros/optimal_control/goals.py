@@ -240,8 +240,11 @@ def _time(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:
 
 
 def _speed(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:
-    (one,) = of.find(options["of"])
-    return Terms(speeds=[(one, options["target"], weight)])
+    every = of.find(options["of"])
+    if len(every) > 1:
+        names = ", ".join(one.name for one in every)
+        raise ModelError(f"goal speed: '{options['of']}' is {names}; accepted: one position")
+    return Terms(speeds=[(every[0], options["target"], weight)])
 
 
 def _smoothness(weight: float, options: Mapping[str, Any], of: Quantities) -> Terms:

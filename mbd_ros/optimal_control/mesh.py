@@ -24,6 +24,7 @@ from mbd_ros.errors import ModelError
 GAUSS, RADAU, HERMITE_SIMPSON = "gauss", "radau", "hermite_simpson"
 SCHEMES = (GAUSS, RADAU, HERMITE_SIMPSON)
 LARGEST_DEGREE = 16
+MOST_INTERVALS = 100_000
 _DENSE = 1.0e-12  # of a coefficient: rounding
 Numbers = NDArray[np.intp]
 Status = NDArray[np.int_]  # -1 at a lower bound, 1 at an upper one, else 0

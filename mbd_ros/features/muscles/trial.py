@@ -32,7 +32,7 @@ from mbd_ros.features.muscles.muscle_trial import (
 from mbd_ros.features.muscles.static_optimization import Shares, StaticOptimization, sizes_of
 from mbd_ros.jobs.progress import announce
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
-from mbd_ros.optimal_control.mesh import RADAU, Collocation, collocation
+from mbd_ros.optimal_control.mesh import MOST_INTERVALS, RADAU, Collocation, collocation
 
 _NEAR = 1.0  # longest intervals beside one that is cut: muscles forget over some 0.02 s
 _HALVINGS = 4  # of intervals, at either end: activations change fastest there
@@ -72,6 +72,11 @@ def shared_trial(
         raise DataError(f"{len(times)} frames: dynamics of muscles need at least 4")
     muscles, p = muscles_with(asked, solver.muscles), solver.wishes.criterion.exponent
     count = max(1, math.ceil(times[-1] / asked.interval - 1.0e-6))
+    if count > MOST_INTERVALS:
+        raise DataError(
+            f"{times[-1]:g} s in intervals of {asked.interval:g} s: {count}, accepted are "
+            f"{MOST_INTERVALS}; choose a longer interval"
+        )
     points = Points(graded(times[-1], count), collocation(RADAU, asked.degree))
 
     def solved(points: Points, guess: Excited, part: Any = None) -> Optimal:

@@ -36,7 +36,7 @@ from mbd_ros.features.prediction.smooth_scene import (
 )
 from mbd_ros.features.prediction.task import PhaseTask, PredictTask
 from mbd_ros.methods.projection.coupled_joints import independent_limits
-from mbd_ros.optimal_control.mesh import uniform_mesh
+from mbd_ros.optimal_control.mesh import MOST_INTERVALS, uniform_mesh
 from mbd_ros.optimal_control.phase_motion import BODY, PhaseMotion, steps_of
 from mbd_ros.optimal_control.problem import PhaseProblem, Range, body_names
 from mbd_ros.scene.built_scene import Scene
@@ -296,7 +296,14 @@ def _intervals(task: PredictTask, duration: Range) -> int:
         return task.mesh.intervals
     if task.recording is None:
         return _FEW
-    return max(_FEW, round(_A_SECOND * 0.5 * sum(duration)))
+    count = max(_FEW, round(_A_SECOND * 0.5 * sum(duration)))
+    if count > MOST_INTERVALS:
+        lasting = f"{_A_SECOND} a second of the recording"
+        raise SceneError(
+            f"{task.source}: predict.mesh.intervals: {count}, {lasting}, accepted are "
+            f"{MOST_INTERVALS}; give intervals, or times of the recording"
+        )
+    return count
 
 
 def with_unit_turns(given: Mapping[str, Range], bodies: Sequence[str]) -> dict[str, Range]:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, Literal
 from mbd_ros.core.ranges import LARGEST, SMALLEST, Positive, Unit, Unlimited, Within
 from mbd_ros.errors import SceneError
 from mbd_ros.features.prediction.smooth_scene import SMOOTH
-from mbd_ros.optimal_control.mesh import LARGEST_DEGREE
+from mbd_ros.optimal_control.mesh import LARGEST_DEGREE, MOST_INTERVALS
 from mbd_ros.optimal_control.problem import Goal, Range
 from mbd_ros.scene.reading.building import Site
 from mbd_ros.scene.schema import schema
@@ -109,7 +109,7 @@ class MeshTask:
 
     scheme: Scheme = "gauss"
     degree: Annotated[int, Within(1, LARGEST_DEGREE)] = 5
-    intervals: Annotated[int | None, Within(1, 10_000)] = None
+    intervals: Annotated[int | None, Within(1, MOST_INTERVALS)] = None
     refinements: Annotated[int, Within(0, 30)] = 10
 
 
@@ -294,7 +294,7 @@ def _task(
         file,
         starts,
         {
-            key: tuple(schema.value(one, Sequence[float], f"{where}.continuation.{key}"))
+            key: _values(one, f"{where}.continuation.{key}")
             for key, one in (continuation or {}).items()
         },
         muscles_of(muscles, f"{where}.muscles"),
@@ -446,14 +446,15 @@ def guess_of(
         return {}, find_file(folder, given, where)
     if not isinstance(given, dict):
         raise SceneError(f"{where}: expected a file, or quantities with values, got {given!r}")
-    return {
-        str(key): tuple(
-            schema.value(
-                one if isinstance(one, list) else [one], Sequence[float], f"{where}.{key}"
-            )
-        )
-        for key, one in given.items()
-    }, None
+    return {str(key): _values(one, f"{where}.{key}") for key, one in given.items()}, None
+
+
+def _values(given: Any, where: str) -> tuple[float, ...]:
+    """A number, or some in a list."""
+    listed = given if isinstance(given, list) else [given]
+    if not listed:
+        raise SceneError(f"{where}: expected a number or a list of them, got []")
+    return tuple(schema.value(listed, Sequence[float], where))
 
 
 def _names(given: Any, where: str) -> tuple[str, ...]:
@@ -470,7 +471,11 @@ def muscles_of(given: Any, where: str) -> Mapping[str, Any] | None:
     """
     if given is None:
         return None
-    entry = {"type": given} if isinstance(given, str) else dict(given)
+    entry = (
+        {"type": given}
+        if isinstance(given, str)
+        else schema.value(given, Mapping[str, Any], where)
+    )
     if entry.pop("type", None) != SMOOTH:
         raise SceneError(f"{where}: accepted: {SMOOTH}, or {{type: {SMOOTH}, tendon: rigid}}")
     return entry
@@ -501,7 +506,7 @@ def _goal(entry: Any, where: str, folder: Path | None, taken: set[str]) -> Goal:
         raise SceneError(f"{where}: expected a mapping with type, got {entry!r}")
     rest = {key: one for key, one in entry.items() if key not in ("type", "weight", "name")}
     kind = entry.get("type")
-    if kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _KINDS:
         raise SceneError(f"{where}.type: expected one of {', '.join(_KINDS)}, got {kind!r}")
     weight = schema.value(entry.get("weight", 1.0), float, f"{where}.weight")
     options = schema.call(_KINDS[kind], rest, where)
@@ -510,11 +515,23 @@ def _goal(entry: Any, where: str, folder: Path | None, taken: set[str]) -> Goal:
     while name in taken:
         number += 1
         name = f"{entry.get('name', kind)}_{number}"
-    if isinstance(options.get("function"), str):
-        options["function"] = _function_of(options["function"], f"{where}.function")
+    _check_quantities(options.get("of"), f"{where}.of")
+    if kind == "function" and not callable(options["function"]):
+        path = schema.value(options["function"], str, f"{where}.function")
+        options["function"] = _function_of(path, f"{where}.function")
     if options.get("file"):
         options["file"] = find_file(folder or Path(), options["file"], f"{where}.file")
     return Goal(kind, weight, options, name)
+
+
+def _check_quantities(of: Any, where: str) -> None:
+    """Refuse what is neither a name, nor a list of names, nor names with weights."""
+    if isinstance(of, dict):
+        schema.value(of, Mapping[str, float], where)
+    elif isinstance(of, list):
+        schema.value(of, Sequence[str], where)
+    elif of is not None:
+        schema.value(of, str, where)
 
 
 def _function_of(path: str, where: str) -> Callable[[Any], Any]:

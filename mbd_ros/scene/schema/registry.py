@@ -149,6 +149,10 @@ def resolve_type(
     Raises:
         SceneError: There is none, with what exists; or nobody permitted code of others.
     """
+    if not isinstance(name, str | type):
+        raise SceneError(
+            f"{where}: type is {name!r}, accepted: a word such as {next(iter(types))}"
+        )
     part = name if isinstance(name, type) else _named(types, name, where)
     lacking = [one for one in offers if not any(hasattr(part, m) for m in one.split(" or "))]
     shown = name.__name__ if isinstance(name, type) else name

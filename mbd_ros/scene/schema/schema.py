@@ -129,7 +129,7 @@ def value(given: Any, hint: Any, where: str, accepted: Within = ANY_NUMBER) -> A
         given = float(given)
     if type(given) is not hint:
         raise SceneError(f"{where}: expected {_EXPECTED.get(hint, hint)}, got {given!r}")
-    has_range = hint is float or (hint is int and within is not None)
+    has_range = hint is float or (hint is int and accepted is not ANY_NUMBER)
     return _within(given, accepted, where) if has_range else given
 
 
