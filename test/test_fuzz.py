@@ -38,7 +38,7 @@ def motion_case(table, derivatives, robot=PENDULUM.text):
 
 def cases_of(kind):
     """Cases of a short run; those of random scenes are cheap, and often refused."""
-    return [f"{kind}:{i}" for i in range(40 if kind in RANDOM else 6)]
+    return [f"{kind}:{i}" for i in range(40 if kind in RANDOM else 4)]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -430,6 +430,9 @@ def _follow() -> list[Seed]:
     return [Seed(words, files, ("m.csv",), "o.npz")]
 
 
+_MOTIONS = ("m.csv", "n.csv", "g.csv")  # recorded, tracked and guessed
+
+
 def _predict() -> list[Seed]:
     scene = of_values(
         robot={"urdf": "r.urdf"}, actuators=[{"type": "ideal", "joints": ["slide"], "limit": 50.0}]
@@ -449,18 +452,20 @@ def _predict() -> list[Seed]:
     tracking = {
         "recording": {"motion": "m.csv", "times": [0.01, 0.05]},
         "goals": [
-            {"type": "tracking", "of": "*.position", "weight": 100.0},
+            {"type": "tracking", "of": "*.position", "weight": 100.0, "file": "n.csv"},
             {"type": "effort", "weight": 1e-4},
         ],
         "mesh": {"intervals": 2, "degree": 2},
         "tolerance": 1e-1,
         "iterations": 30,
+        "guess": "g.csv",
     }
-    files = {"s.yaml": scene, "r.urdf": _RAIL.encode(), "m.csv": table(swing(("slide",)))}
+    motion = table(swing(("slide",)))
+    files = {"s.yaml": scene, "r.urdf": _RAIL.encode(), **dict.fromkeys(_MOTIONS, motion)}
     words = "predict", "@s.yaml", "@t.yaml", "-o", "@o.npz"
     return [
-        Seed(words, {**files, "t.yaml": of_values(predict=one)}, ("t.yaml",), "o.npz")
-        for one in (task, tracking)
+        Seed(words, {**files, "t.yaml": of_values(predict=one)}, ("t.yaml", *mutated), "o.npz")
+        for one, mutated in ((task, ()), (tracking, _MOTIONS))
     ]
 
 
