@@ -3,11 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-import coal
 import numpy as np
 
 from mbd_ros.errors import SceneError
-from mbd_ros.regular_file import check_regular
+from mbd_ros.scene.reading.mesh_file import load_mesh
 from mbd_ros.view.surfaces import Surface
 
 MAX_TRIANGLES = 500_000
@@ -23,13 +22,7 @@ def mesh_surface(file: Path, scale: Sequence[float], where: str) -> Surface:
     Raises:
         SceneError: There is no such file, or it holds no mesh or too large a one.
     """
-    try:
-        check_regular(file)
-        model = coal.MeshLoader().load(str(file), np.array(scale, dtype=np.float64))
-    except OSError as error:
-        raise SceneError(f"{where}: mesh {file} cannot be read: {error.strerror}") from error
-    except (ValueError, RuntimeError) as error:
-        raise SceneError(f"{where}: {file} holds no mesh") from error
+    model = load_mesh(file, scale, where)
     count = int(model.num_tris)
     if not 0 < count <= MAX_TRIANGLES:
         raise SceneError(

@@ -137,6 +137,38 @@ def test_the_data_of_external_loads_are_a_regular_file(plant):
         read_external_loads("loads.xml")
 
 
+OBJECT = "{}v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n"
+HEAVY = '<X><DataItem Format="HDF">other.h5:/a</DataItem></X>'
+WITH_MESHES = {  # file that libraries open by themselves -> mesh that leads to it, and its reader
+    "other.mtl": ("x.obj", OBJECT.format("mtllib other.mtl\n"), READERS["x.obj"]),
+    "x.mtl": ("x.obj", OBJECT.format(""), READERS["x.stl"]),
+    "other.inp": ("x.inp", "*INCLUDE, INPUT=other.inp\n", READERS["x.msh"]),
+    "x.node": ("x.ele", "0 4 0\n", READERS["x.msh"]),
+    "x_a.xml": ("x.xml", "<dolfin/>", READERS["x.msh"]),
+    "other.h5": (
+        "x.xdmf",
+        '<X><DataItem Format="HDF">other.h5:/a</DataItem></X>',
+        READERS["x.msh"],
+    ),
+}
+
+
+@pytest.mark.parametrize("name", WITH_MESHES)
+def test_files_that_belong_to_meshes_are_regular(plant, name):
+    plant(name)
+    place, text, read = WITH_MESHES[name]
+    Path(place).write_text(text, encoding="utf-8")
+    with pytest.raises(MbdError, match="not a regular file"):
+        read(Path(place).absolute())
+
+
+def test_meshes_that_include_one_another_are_refused(tmp_path):
+    (tmp_path / "x.inp").write_text(f"*INCLUDE, INPUT={tmp_path}/y.inp\n", encoding="utf-8")
+    (tmp_path / "y.inp").write_text("*Include, Input=x.inp\n", encoding="utf-8")
+    with pytest.raises(MbdError, match=r"x\.inp includes itself"):
+        read_solids(tmp_path / "x.inp", 1.0)
+
+
 @pytest.mark.parametrize("name", READERS)
 def test_other_files_are_regular(plant, name):
     if name == "README.md":

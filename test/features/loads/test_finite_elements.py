@@ -307,7 +307,7 @@ def test_a_cylinder():
 def test_meshes_that_cannot_be_read(tmp_path):
     import meshio
 
-    with pytest.raises(DataError, match="no such file"):
+    with pytest.raises(DataError, match="No such file"):
         read_mesh(tmp_path / "none.msh", 1.0)
     (tmp_path / "text.msh").write_text("nothing")
     with pytest.raises(DataError, match="cannot be read"):

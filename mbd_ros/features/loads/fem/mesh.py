@@ -7,10 +7,12 @@ chapter 3; O. C. Zienkiewicz, R. L. Taylor, The Finite Element Method, 2000, vol
 
 from __future__ import annotations
 
+import glob
 import itertools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
+from xml.etree import ElementTree
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +20,7 @@ from numpy.typing import NDArray
 from mbd_ros.core.model.points import rotation_matrix
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
+from mbd_ros.regular_file import check_regular
 
 Cells = NDArray[np.int64]
 Nodes = NDArray[np.int64]
@@ -74,10 +77,11 @@ def read_mesh(path: Path, per_metre: float, pose: Sequence[float] = ()) -> Mesh:
         import meshio
     except ModuleNotFoundError as error:
         raise DataError(install_hint("meshio")) from error
-    if not path.is_file():
-        raise DataError(f"--mesh {path}: no such file")
     try:
+        _check_files(path)
         read = meshio.read(path)
+    except ModuleNotFoundError as error:  # of some formats
+        raise DataError(f"--mesh {path}: {error.name} is not installed") from error
     except (meshio.ReadError, OSError, ValueError, KeyError, IndexError, SystemExit) as error:
         raise DataError(f"--mesh {path}: cannot be read ({error})") from error
     solid = [(block.type, np.asarray(block.data, dtype=np.int64)) for block in read.cells]
@@ -94,6 +98,53 @@ def read_mesh(path: Path, per_metre: float, pose: Sequence[float] = ()) -> Mesh:
     mesh = _without_loose(Mesh(str(path), points, blocks, _sets(read)))
     _check(mesh)
     return mesh
+
+
+def _check_files(path: Path, above: Sequence[Path] = ()) -> None:
+    """Refuse what is no regular file, among the files that meshio reads with a mesh as well.
+
+    Args:
+        above: Files of Abaqus that include this one.
+
+    Raises:
+        OSError: It is none, or absent.
+        ValueError: Files include one another in a circle.
+    """
+    check_regular(path)
+    if path.resolve() in above:
+        raise ValueError(f"{path} includes itself")
+    suffix = path.suffix.lower()
+    if suffix == ".inp":
+        for name in _included(path):
+            _check_files(name if name.exists() else path.parent / name, [*above, path.resolve()])
+    elif suffix in (".xdmf", ".xmf"):
+        for name in filter(Path.exists, _data_of_xdmf(path)):
+            check_regular(name)
+    elif suffix == ".xml":  # data of DOLFIN
+        for name in path.parent.glob(f"{glob.escape(path.stem)}_*.xml"):
+            check_regular(name)
+    elif suffix in (".node", ".ele"):  # points and elements of TetGen
+        check_regular(path.with_suffix(".ele" if suffix == ".node" else ".node"))
+
+
+def _included(path: Path) -> Iterator[Path]:
+    """Files that one of Abaqus includes, as it names them."""
+    with path.open(encoding="utf-8", errors="surrogateescape") as lines:
+        for line in lines:
+            if line.upper().startswith("*INCLUDE"):
+                yield Path(line.split("=")[-1].strip())
+
+
+def _data_of_xdmf(path: Path) -> Iterator[Path]:
+    """Files with the numbers of an XDMF file."""
+    try:
+        for _, element in ElementTree.iterparse(path):
+            if element.tag == "DataItem" and element.get("Format") in ("HDF", "Binary"):
+                name = (element.text or "").strip().partition(":")[0]
+                yield from (path.parent / name, Path(name))
+            element.clear()
+    except ElementTree.ParseError as error:
+        raise ValueError(f"not well-formed XML: {error}") from error
 
 
 def _without_loose(mesh: Mesh) -> Mesh:

@@ -11,6 +11,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.state import Array
+from mbd_ros.errors import SceneError
 from mbd_ros.scene.models.imported_model import MAX_BYTES
 from mbd_ros.scene.models.mjcf.item import Compiler, Defaults, Item, placed, turned_to, unit
 from mbd_ros.scene.models.urdf_text import Mass
@@ -236,17 +237,17 @@ class Meshes:
     def _read(self, geom: Item, item: Item) -> tuple[Array, Any]:
         file = self._folder / item.text("file")
         need = "inertia of its body comes from it: give <inertial>, or mass='0'"
-        if not file.is_file():
+        if not file.exists():
             raise geom.error(f"mesh {file} is not there; {need}")
         if file.suffix.lower() not in _ENDINGS or file.stat().st_size > MAX_BYTES:
             raise geom.error(f"mesh {file} is no STL or OBJ of up to {MAX_BYTES} bytes; {need}")
 
-        import coal  # here, since most models bring their inertia
+        from mbd_ros.scene.reading.mesh_file import load_mesh  # most models bring their inertia
 
         try:
-            model = coal.MeshLoader().load(str(file), np.ones(3))
-        except (ValueError, RuntimeError) as error:
-            raise geom.error(f"{file} holds no mesh; {need}") from error
+            model = load_mesh(file, (1.0, 1.0, 1.0), str(file))
+        except SceneError as error:
+            raise geom.error(f"{error}; {need}") from error
         if not model.num_tris:
             raise geom.error(f"{file} holds no triangle; {need}")
         faces = [[t[0], t[1], t[2]] for t in map(model.tri_indices, range(model.num_tris))]
