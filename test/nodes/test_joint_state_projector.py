@@ -60,7 +60,7 @@ class Stream:
         self.probe.spin_until(self.publisher.get_subscription_count)
         self.probe.spin_until(lambda: all(s.get_publisher_count() for s in self._subscriptions))
         self.probe.spin_until(self._is_answered)
-        self.probe.spin_for(0.1)
+        self.probe.state(NAME)  # all that was sent is answered
 
     def _is_answered(self):
         x = self.scene.initial

@@ -55,12 +55,12 @@ class Arm:
         self.publisher.publish(message)
 
     def play(self, begin, motion, effort=None):
-        """Joint states at 200 Hz of stamps, sent somewhat faster."""
+        """Joint states at 200 Hz of stamps; no more are on their way than a reader keeps."""
         tau = self._solver.batch(*motion, []).tau if effort is None else effort
         for i, (position, torque) in enumerate(zip(motion[0], tau, strict=True)):
             self.send(begin + i * STEP, position, torque)
             if i % 10 == 9:
-                self.probe.spin_for(0.02)
+                self.probe.state(NAME)  # handled
 
     def health(self):
         count = len(self.probe.health)
@@ -83,7 +83,7 @@ def arm(tmp_path):
                 arm = Arm(probe)
                 probe.spin_until(arm.publisher.get_subscription_count)
                 probe.spin_until(lambda: probe.node.count_publishers(f"{NAME}/payload"))
-                probe.spin_for(0.2)
+                probe.meet(NAME)
                 yield arm
                 assert node.stop() == 0, node.log
                 assert "Traceback" not in node.log

@@ -22,7 +22,7 @@ def trajectories(probe):
     probe.wait_health(lambda h: h.level == WARN and "waiting for the controller" in h.message)
     got = []
     probe.node.create_subscription(JointTrajectory, "/joint_trajectory", got.append, 10)
-    probe.spin_for(0.5)
+    probe.meet("/reference_player")
     assert got == []
     states = probe.node.create_publisher(JointState, "/state", 10)
     probe.spin_until(states.get_subscription_count)

@@ -117,16 +117,13 @@ def test_as_fast_as_possible_pause_and_reset(domain, tmp_path):
         clocks = []
         keep = client.probe.node.create_subscription(Clock, "/clock", clocks.append, DEEP)
         client.probe.spin_until(keep.get_publisher_count)
-        first = len(client.states)
-        client.probe.spin_for(0.3)
-        assert np.median(np.diff(client.arrivals[first:])) < 0.01 / 1.2
+        reached = "real-time factor reached"
+        client.probe.wait_health(lambda h: float(h.values[reached]) > 1.2)
         client.pause(True)
         first, ticked = client.settle(), len(clocks)
-        busy = client.node.cpu_seconds()
         health = client.probe.wait_health(lambda h: "paused" in h.message)
-        assert health.values["real-time factor reached"] == "standing"
-        client.probe.spin_for(0.3)
-        assert client.node.cpu_seconds() - busy < 0.1
+        assert health.values[reached] == "standing"
+        assert client.node.activity() < 0.3  # a node that never waits has 1
         assert len(client.states) == first
         client.probe.spin_until(lambda: len(clocks) > ticked)
         standing = {read_clock(message) for message in clocks[ticked:]}

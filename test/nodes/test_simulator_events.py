@@ -39,7 +39,7 @@ def test_every_event_is_published_once_with_both_sides(domain, tmp_path):
             x = expected[round(k * TICK / run[0].dt)]
             assert (sample.position[0], sample.velocity[0]) == (x.q[0], x.v[0])
         client.probe.spin_until(lambda: len(events) >= 2)
-        client.probe.spin_for(0.1)
+        client.probe.state(NAME)  # nothing else was said before
     rows = [dict(zip(labels(one), one.data, strict=True)) for one in events]
     fall = math.sqrt(2.0 * HEIGHT / 9.81)
     speed = 9.81 * fall

@@ -85,7 +85,7 @@ def test_a_push_on_a_link_acts_as_the_load_of_that_link(domain, tmp_path):
         client.probe.spin_until(publisher.get_subscription_count)
         client.probe.spin_until(lambda: is_refused(publisher, client.node, "bar"))
         publisher.publish(write_wrench(WrenchStamped(), 1, "rod", LOAD))
-        client.probe.spin_for(0.3)
+        client.probe.state(NAME)  # handled
         watch.take(LOAD)
         for _ in range(8):
             now, sample = live.tick(), client.step()

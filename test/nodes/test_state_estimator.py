@@ -132,7 +132,6 @@ def test_dropouts_disorder_and_a_frozen_encoder_stay_bounded_and_are_named(start
             frozen = x.q[at] + noise[0] if frozen is None else frozen
             noise[0] = frozen - x.q[at]
         machine.send(i, MEASURED, noise)
-        machine.probe.spin_for(0.002)
         if i == 59:
             assert machine.probe.wait_health(is_frozen).level == WARN
     machine.probe.spin_until(
@@ -152,7 +151,6 @@ def test_estimates_wait_for_the_lag(started):
     machine, rng = started(lag=0.05), np.random.default_rng(3)
     for i in range(60):
         machine.send(i, MEASURED, 1e-4 * rng.standard_normal(3))
-        machine.probe.spin_for(0.003)
     machine.probe.spin_until(lambda: len(machine.states) == 55)
     stamps = [read_time(message.header.stamp) for message in machine.states]
     assert stamps == [machine.begin + i * STEP for i in range(55)]
@@ -195,13 +193,12 @@ def test_an_imu_is_heard_beside_an_encoder(started, tmp_path):
         system.k.refresh(x.q, x.v)
         values = sensor.measure(system.k, x, Now(found.a, found.lam)).tolist()
         publisher.publish(imu(machine.begin + i * STEP, values, "foot"))
-        machine.probe.spin_for(0.003)
     machine.probe.spin_until(lambda: len(machine.states) == 200)
     assert machine.error(99, machine.states[-1]) < 0.02
     count = len(machine.states)
     publisher.publish(imu(machine.begin + 100 * STEP, values, "shank"))
     publisher.publish(imu(machine.begin + 100 * STEP, [math.nan] * 6, "foot"))
-    machine.probe.spin_for(0.2)
+    machine.probe.state(NAME)  # handled
     assert len(machine.states) == count
 
 
@@ -216,7 +213,7 @@ def test_unknown_numbers_and_the_covariance_are_published_on_request(started):
         for topic in ("parameters", "covariance", "deviations")
     ]
     machine.probe.spin_until(lambda: machine.probe.node.count_publishers(f"{NAME}/covariance"))
-    machine.probe.spin_for(0.3)
+    machine.probe.meet(NAME)
     for i in range(10):
         machine.ask(i, MEASURED)
     machine.probe.spin_until(lambda: len(told) == len(kept))

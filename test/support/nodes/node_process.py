@@ -120,11 +120,6 @@ class NodeProcess:
             pass
         return (self.cpu_seconds() - begin) / _COMPUTING
 
-    def held_up(self) -> float:
-        """For how long its main thread and that of the test were ready, but others ran [s]."""
-        files = [Path(f"/proc/{pid}/schedstat") for pid in (self.pid, os.getpid())]
-        return sum(int(f.read_text().split()[1]) * 1e-9 for f in files if f.exists())
-
     def _read(self) -> None:
         assert self.process.stderr is not None
         self._lines.extend(self.process.stderr)

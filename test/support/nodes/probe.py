@@ -61,8 +61,6 @@ class Probe:
 
     def wait_health(self, done: Callable[[Health], Any], timeout: float = DEADLINE) -> Health:
         """First status from now on that satisfies `done`."""
-        for _ in range(_TOPICS):  # what is here by now is no news
-            self._executor.spin_once(timeout_sec=0.0)
         seen = len(self.health)
         found = self.spin_until(lambda: [h for h in self.health[seen:] if done(h)], timeout)
         return found[0]
@@ -127,6 +125,8 @@ class Probe:
     def state(self, node: str) -> str:
         """Label of the life cycle state, when the node has handled all that was sent before."""
         response = self.call(GetState, f"{node}/get_state", GetState.Request())
+        for _ in range(_TOPICS):  # what the node said before may still wait to be taken
+            self._executor.spin_once(timeout_sec=0.0)
         return str(response.current_state.label)
 
     def _expired(self, timeout: float) -> str:
