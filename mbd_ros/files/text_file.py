@@ -18,7 +18,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_paths import check_target
 from mbd_ros.files.formats import format_of, is_bag
-from mbd_ros.gzip_file import unpacked_gzip
+from mbd_ros.gzip_file import check_gzip, unpacked_gzip
 from mbd_ros.regular_file import open_regular
 
 MAX_LINE = 1_000_000  # bytes
@@ -38,7 +38,11 @@ def reading(path: Path) -> Iterator[Any]:
     """
     try:
         with open_regular(path) as raw:
-            yield unpacked_gzip(raw) if path.suffix == ".gz" else raw
+            if path.suffix == ".gz":
+                check_gzip(raw)
+                yield unpacked_gzip(raw)
+            else:
+                yield raw
     except (gzip.BadGzipFile, EOFError, zlib.error) as error:
         raise DataError(f"{path}: truncated or corrupt gzip file ({error})") from error
     except OSError as error:
