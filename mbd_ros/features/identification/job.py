@@ -190,7 +190,8 @@ def _fitted(problem: Problem, allowed: Sequence[str], say: Say) -> tuple[Learned
     for line in check_still(problem.where, movement(problem), problem.texts, task.partial):
         say(line)
     limits = allowed, _search(problem), problem.correlation
-    found = learn(problem.blocks, problem.columns, r, *limits)
+    with about(problem.where):
+        found = learn(problem.blocks, problem.columns, r, *limits)
     if found.delay:
         later = "later" if found.delay > 0 else "earlier"
         say(f"efforts come {abs(found.delay) * 1e3:.3g} ms {later} than the motion: taken out")

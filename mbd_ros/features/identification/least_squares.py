@@ -17,8 +17,10 @@ from numpy.typing import NDArray
 
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import SINGULAR, TINY
+from mbd_ros.errors import SolveError
 from mbd_ros.features.identification.regressor import Column, choices
 
+_SIZES = "sizes of motion and efforts are too far apart"
 _FLOOR = 1.0e-11  # of the usual torque: deviations below are rounding
 _SWEEPS = 4  # of weights and of choices of friction, at most
 _HIGHEST_ORDER = 8  # of the process
@@ -99,6 +101,8 @@ def stacked(
 def solved(A: Array, b: Array) -> tuple[Array, float]:
     """Least squares with scaled columns, shortest where columns depend; condition of them."""
     scale = np.linalg.norm(A, axis=0)
+    if not (np.isfinite(scale).all() and np.isfinite(b).all()):
+        raise SolveError(f"least squares are not finite: {_SIZES}")
     scale[scale == 0.0] = 1.0
     x, _, _, s = np.linalg.lstsq(A / scale, b, rcond=SINGULAR**1.5)
     condition = float(s[0] / s[-1]) if len(s) and s[-1] > 0.0 else np.inf
@@ -334,6 +338,8 @@ class Spread:
             A[np.ix_(places, places)] += plain / sigma**2
             S[np.ix_(places, places)] += sums / sigma**4
             at += len(own)
+        if not np.isfinite(A).all():
+            raise SolveError(f"deviations of the estimates are not finite: {_SIZES}")
         scale = np.sqrt(np.maximum(np.diag(A), np.finfo(np.float64).tiny))
         inverse = np.linalg.pinv(A / np.outer(scale, scale), hermitian=True) / np.outer(
             scale, scale

@@ -1,6 +1,7 @@
 """Torque that a model has learned beside the equations of motion."""
 
 from collections.abc import Sequence
+from functools import cache
 from typing import Annotated, Any
 
 import numpy as np
@@ -21,7 +22,9 @@ from mbd_ros.methods.learned import (
     about,
     check_robot,
 )
+from mbd_ros.methods.network_graph import check_graph
 
+_MOST_MEMORY = 1_000_000_000  # bytes
 _INPUTS = ("position", "velocity")
 _TORQUE, _SPREAD, _INERTIA = "torque", "spread", "inertia"
 
@@ -142,7 +145,10 @@ def _session(model: LearnedFile, said: About) -> Any:
         raise ModelError(install_hint("onnxruntime")) from error
     if len(model.content) > LARGEST:
         raise ModelError(f"{model.name}: {len(model.content)} bytes, accepted are {LARGEST}")
+    check_graph(model.name, model.content)
+    _bound_memory(onnxruntime)
     options = onnxruntime.SessionOptions()
+    options.add_session_config_entry("session.use_env_allocators", "1")
     options.intra_op_num_threads = options.inter_op_num_threads = 1
     options.log_severity_level = 4
     kinds = ("Fail", "InvalidProtobuf", "InvalidGraph", "InvalidArgument", "NotImplemented")
@@ -155,6 +161,15 @@ def _session(model: LearnedFile, said: About) -> Any:
     except (*refused, ValueError, RuntimeError) as error:
         raise ModelError(f"{model.name}: the network cannot be asked: {error}") from error
     return session
+
+
+@cache
+def _bound_memory(onnxruntime: Any) -> None:
+    """Bound what all networks of this process take: small numbers can have large products."""
+    kind = onnxruntime.OrtAllocatorType.ORT_ARENA_ALLOCATOR
+    place = onnxruntime.OrtMemoryInfo("Cpu", kind, 0, onnxruntime.OrtMemType.DEFAULT)
+    arena = onnxruntime.OrtArenaCfg({"max_mem": _MOST_MEMORY})
+    onnxruntime.create_and_register_allocator(place, arena)
 
 
 def _check_answer(session: Any, said: About) -> None:

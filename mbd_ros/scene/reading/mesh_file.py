@@ -9,6 +9,7 @@ import coal
 import numpy as np
 
 from mbd_ros.core.geometry.shapes import Polyhedron, polyhedron
+from mbd_ros.core.ranges import LARGEST
 from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.regular_file import check_regular
 
@@ -32,9 +33,12 @@ def read_mesh(file: Path, scale: Sequence[float], where: str) -> Polyhedron:
         raise SceneError(
             f"{where}: {file} has {model.num_tris} triangles, accepted are 1 .. {MAX_TRIANGLES}"
         )
+    vertices = np.array(model.vertices())
+    if not (np.abs(vertices) <= LARGEST).all():
+        raise SceneError(f"{where}: {file} has vertices beyond a size of {LARGEST:g}")
     triangles = [[t[0], t[1], t[2]] for t in map(model.tri_indices, range(model.num_tris))]
     try:
-        return polyhedron(np.array(model.vertices()), np.array(triangles, dtype=np.intp))
+        return polyhedron(vertices, np.array(triangles, dtype=np.intp))
     except ModelError as error:
         raise SceneError(
             f"{where}: {file}: {error}; accepted: a convex mesh, or several of them"

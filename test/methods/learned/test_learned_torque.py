@@ -168,6 +168,59 @@ def foreign_operator(data):
     return resigned(data, change)
 
 
+def endless(data):
+    def change(model):
+        node = next(node for node in model.graph.node if node.op_type == "Tanh")
+        node.op_type = "Loop"
+
+    return resigned(data, change)
+
+
+def foreign_domain(data):
+    def change(model):
+        next(node for node in model.graph.node if node.op_type == "Tanh").domain = "com.other"
+
+    return resigned(data, change)
+
+
+def elsewhere(data):
+    """Numbers of a network in a file of somebody else."""
+
+    def change(model):
+        constant = model.graph.initializer[0]
+        constant.ClearField("raw_data")
+        constant.data_location = onnx.TensorProto.EXTERNAL
+        entry = constant.external_data.add()
+        entry.key, entry.value = "location", "/dev/zero"
+
+    return resigned(data, change)
+
+
+def with_function(data):
+    def change(model):
+        model.functions.add().name = "Tanh"
+
+    return resigned(data, change)
+
+
+def product_of_gigabytes(data):
+    """Two vectors of 200 kB whose outer product has 5 GB."""
+
+    def change(model):
+        graph, n = model.graph, 25_000
+        for name, shape in (("tall", (n, 1)), ("wide", (1, n))):
+            graph.initializer.append(onnx.numpy_helper.from_array(np.ones(shape), name))
+        graph.node.append(onnx.helper.make_node("MatMul", ["tall", "wide"], ["huge"]))
+        graph.node.append(
+            onnx.helper.make_node("ReduceMean", ["huge"], ["small"], axes=[0, 1], keepdims=0)
+        )
+        last = next(node for node in graph.node if "torque" in node.output)
+        last.output[0] = "bare"
+        graph.node.append(onnx.helper.make_node("Mul", ["bare", "small"], ["torque"]))
+
+    return resigned(data, change)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -176,7 +229,12 @@ def foreign_operator(data):
         (lambda data: b"\x80\x04\x95cos\nsystem\n", "no file of mbd-ros learn"),
         (lambda data: b"", "no file of mbd-ros learn"),
         (versioned, "version 9 .* accepted: 1"),
-        (foreign_operator, "the network cannot be asked"),
+        (foreign_operator, "the network cannot be asked: operator 'RunCode', accepted: Add,"),
+        (endless, "the network cannot be asked: operator 'Loop'"),
+        (foreign_domain, "operator 'Tanh' of com.other, accepted"),
+        (elsewhere, "has numbers that are sparse or in another file"),
+        (with_function, "has functions of its own"),
+        (product_of_gigabytes, "the network cannot be asked: .*[Mm]emory"),
         (other_numbers, "does not say what it belongs to"),
     ],
 )
@@ -218,7 +276,9 @@ def test_beside_rigid_rows_inertia_is_refused(folder):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(SceneError, match=r"forces\[0\].model: .*nosuch.onnx is no file"):
+    with pytest.raises(
+        SceneError, match=r"forces\[0\].model: .*nosuch.onnx cannot be read: No such file"
+    ):
         with_model("arm7", tmp_path / "nosuch.onnx")
 
 

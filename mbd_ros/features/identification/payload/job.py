@@ -145,7 +145,8 @@ def _fitted(scene: Scene, task: Task, place: int, frame: str, say: Say) -> _Foun
     known = {str(entry.get("joint")) for entry in _friction(scene)}
     beside = _BESIDE if known else (*_BESIDE, "viscous")
     limits = Search(0.0, 0.0), problem.correlation
-    found = learn(problem.blocks, problem.columns, r, beside, *limits)
+    with about(problem.where):
+        found = learn(problem.blocks, problem.columns, r, beside, *limits)
     check_length(problem.where, found.joints, r + sum(map(len, found.fit.taken)), problem.seconds)
     pairs = zip(found.joints, found.fit.deviation, strict=True)
     rows = np.concatenate([joint.R[:, :r] / sigma for joint, sigma in pairs])
