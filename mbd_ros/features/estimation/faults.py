@@ -293,8 +293,8 @@ class InnovationWatch:
         self._sums, self._last = np.zeros(5), None
 
     def add(self, innovation: Innovation) -> None:
-        """Take the innovation of a sample."""
-        if not innovation.freedom:
+        """Take the innovation of a sample; one that is not finite says nothing."""
+        if not innovation.freedom or not math.isfinite(innovation.squared):
             return
         now, last = np.where(innovation.used, innovation.normalized, 0.0), self._last
         product = size = pairs = 0.0
@@ -303,8 +303,10 @@ class InnovationWatch:
             product = float(now.dot(last))
             size = 0.5 * float(((now * now + last * last) * both).sum())
             pairs = float(np.count_nonzero(both))
-        self._last = now
         term = np.array((innovation.squared, innovation.freedom, product, size, pairs))
+        if not np.isfinite(term).all():
+            return
+        self._last = now
         self._terms.append(term)
         self._sums += term
         if len(self._terms) > self.samples:

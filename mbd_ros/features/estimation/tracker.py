@@ -49,7 +49,8 @@ class Tracker:
 
     Attributes:
         is_hurried: Whether answers lag behind too far for what takes long: late samples then
-            count as too old, and what is longer than `patience` as a gap.
+            count as too old, what is longer than `patience` is a gap, and after a gap the
+            mechanism is where it was.
         faults: What is wrong with sensors.
         watch: The newest innovations.
         restarts: How often the estimator began anew, since nothing fitted.
@@ -149,7 +150,9 @@ class Tracker:
         if dt > min(longest, max(self._patience, _GAP * self._usual)):
             doubt = process.unforeseen(self._agility, min(dt, self._max_age))
             P = self.belief.P + np.diag(doubt)
-            x = process.near(process.at_rest(self.belief.x, t), values, P)
+            x = process.at_rest(self.belief.x, t)
+            if not self.is_hurried:
+                x = process.near(x, values, P)
             estimator.begin(x, P, t)
             return
         usual = dt if self._usual == np.inf else self._usual

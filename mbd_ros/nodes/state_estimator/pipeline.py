@@ -83,7 +83,7 @@ class EstimatorPipeline:
     def __init__(self, values: Any, description: str | None, lag: float = 0.0) -> None:
         if lag and values.estimator != "extended_kalman":
             raise ParameterError(f"lag: {values.estimator} has none; accepted: extended_kalman")
-        self._lag = lag
+        self._smoothing_lag = lag
         self.scene = scene = load_scene(values.scene, description)
         self._values = values
         names = [joint.name for joint in scene.robot.joints]
@@ -122,6 +122,8 @@ class EstimatorPipeline:
         self.newest = 0
         self._origin = 0
         self._debt = 0.0
+        self._lag = 0.0  # of the work behind the samples, which errors do not end [s]
+        self._ended = perf_counter()
         self._late = 0
         self._command = self._inputs.copy()
         for buffer in self.wrenches.values():
@@ -129,9 +131,9 @@ class EstimatorPipeline:
 
     def begin_anew(self) -> None:
         """Forget the past after an error, but not how far answers lag behind the samples."""
-        debt = self._debt
+        lag = self._lag
         self.forget()
-        self._debt = debt
+        self._lag = lag
 
     def take_command(self, values: Array) -> None:
         """Take the commands of all actuators, in the order of the scene."""
@@ -184,21 +186,29 @@ class EstimatorPipeline:
         return self._taken(stamp, values, self._newest_u, self.joints.absent)
 
     def _taken(self, stamp: int, values: Array, u: Array, velocity: Array) -> Answer:
-        if self.tracker is None:
-            self._begin(stamp, values, velocity)
-        assert self.tracker is not None
-        t = (stamp - self._origin) * NANOSECOND
-        before, began = self.tracker.belief.t, perf_counter()
-        estimator = self.tracker.estimator
-        estimator.is_late = self._debt > self._values.deadline
-        self._late += estimator.is_late
-        self._newest_u = u
-        self.tracker.is_hurried = self._debt > _MOST_LAG
+        began = perf_counter()
+        self._lag = max(0.0, self._lag - (began - self._ended))
+        is_hurried = self._lag > _MOST_LAG
+        if is_hurried and self.tracker is None:
+            return Taken.OLD
+        advance = 0.0
         try:
+            if self.tracker is None:
+                self._begin(stamp, values, velocity)
+            assert self.tracker is not None
+            t = (stamp - self._origin) * NANOSECOND
+            advance, asked = max(t - self.tracker.belief.t, 0.0), perf_counter()
+            estimator = self.tracker.estimator
+            estimator.is_late = self._debt > self._values.deadline
+            self._late += estimator.is_late
+            self._newest_u = u
+            self.tracker.is_hurried = is_hurried
             taken = self.tracker.take(t, values, u)
+            self._debt = max(0.0, self._debt + perf_counter() - asked - advance)
         finally:
-            spent = perf_counter() - began
-            self._debt = max(0.0, self._debt + spent - max(t - before, 0.0))
+            self._ended = perf_counter()
+            spent = self._ended - began
+            self._lag = max(0.0, self._lag + spent - min(advance, self._values.max_age))
         if taken is not Taken.USED:
             return taken
         self.newest, consistency = stamp, self.tracker.watch.consistency()
@@ -221,8 +231,8 @@ class EstimatorPipeline:
         options = {name: getattr(kept, name) for name in TRACKER}
         longest = max(kept.max_age, kept.patience)
         self.tracker = Tracker(found.estimator, found.process.sensors, longest=longest, **options)
-        if self._lag:
-            self.tracker.window = LagWindow(found.process, self._lag)
+        if self._smoothing_lag:
+            self.tracker.window = LagWindow(found.process, self._smoothing_lag)
 
     def held(self) -> Sequence[str]:
         """Joints that nothing gives: none, all are estimated."""

@@ -330,14 +330,14 @@ def under_fire(name: str, domain: int, folder: Path, **parameters: Any) -> Itera
             target.connect()
             yield target
             assert not target.lost, target.lost[:3]
-            for health in (health for health in probe.health if health.name == target.name):
-                texts = {
-                    text.strip().lower()
-                    for key, value in health.values.items()
-                    if not key.endswith(_HIDES)
-                    for text in value.split(",")
-                }
-                assert not texts & {"nan", "inf", "-inf"}, health
+            lost = {
+                f"{key}: {value}"
+                for health in probe.health
+                for key, value in health.values.items()
+                if health.name == target.name and not key.endswith(_HIDES)
+                if {text.strip().lower() for text in value.split(",")} & {"nan", "inf", "-inf"}
+            }
+            assert not lost, lost
             assert node.stop() == 0, node.log
             assert "Traceback" not in node.log, node.log
     finally:
