@@ -31,6 +31,7 @@ setup(
     packages=find_packages(include=[NAME, f"{NAME}.*", "msg_adapters"]),
     package_data={
         f"{NAME}.compiled": ["*/*.c", "*/*.h"],
+        f"{NAME}.nodes.shell": ["*.xml"],
         f"{NAME}.applications.report": ["*.css"],
         f"{NAME}.applications.report.precision": ["*.json"],
     },

@@ -1,15 +1,17 @@
-"""The node under a stream of 1 kHz for a minute, and the benchmark that measures it."""
+"""Nodes under a stream of 1 kHz for a minute and under hostile messages, and their benchmark."""
 
 import json
 import subprocess
 import sys
 
 import pytest
+from fuzz.subjects import SUBJECTS
 from places import ROOT
 
 from mbd_ros.scene.reader import load_scene
 
 pytestmark = pytest.mark.alone
+HOSTILE = 100_000  # messages between two looks at memory
 
 
 @pytest.mark.soak
@@ -36,3 +38,19 @@ def test_the_benchmark_prints_its_ratios_as_json():
         for key in ("main_thread_us", "process_us", "round_trip_us"):
             assert 0.0 < load[f"{key}_over_echo"] < 2.0
     assert result["node"]["at 1 kHz"]["last inverse_dynamics"]["answered"] == 1000
+
+
+@pytest.mark.soak
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_hostile_messages_do_not_fill_the_memory(domain, tmp_path, record_property, name):
+    from fuzz.nodes import under_fire
+
+    with under_fire(name, domain, tmp_path) as target:
+        before, sizes = target.exchange(), [target.memory()]
+        for seed in range(3):
+            target.fire(seed, HOSTILE)
+            sizes.append(target.memory())
+        record_property("MB", sizes)
+        assert target.exchange() == before
+    assert sizes[-1] - sizes[0] <= 200.0, sizes
+    assert sizes[-1] - sizes[-2] <= 20.0, sizes

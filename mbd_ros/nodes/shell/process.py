@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import gc
+import os
 import signal
 import sys
 import textwrap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from pathlib import Path
 from types import FrameType
 
 import numpy as np
@@ -30,6 +32,11 @@ _REFUSALS = (
     rclpy_implementation.RCLError,
     rclpy_implementation.UnknownROSArgsError,
     ParameterException,
+)
+_PROFILES = (
+    "FASTRTPS_DEFAULT_PROFILES_FILE",
+    "FASTDDS_DEFAULT_PROFILES_FILE",
+    "RMW_FASTRTPS_USE_QOS_FROM_XML",
 )
 PATIENCE = 0.1  # [s] that a signal waits at most: an executor does not wake up for one
 
@@ -65,6 +72,7 @@ def run(node_class: type[Shell], argv: Sequence[str] | None = None) -> int:
 
 
 def _run(node_class: type[Shell], arguments: list[str], stop: _StopSignal) -> None:
+    _free_messages()
     with _refused(node_class.NAME):
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
         node = node_class(arguments)
@@ -83,6 +91,13 @@ def _check_parameter_files(name: str, arguments: Sequence[str]) -> None:
         except OSError as error:
             sys.stderr.write(f"{name}: --params-file {file}: cannot be read ({error.strerror})\n")
             raise SystemExit(BAD_INPUT) from error
+
+
+def _free_messages() -> None:
+    """Let Fast DDS free the memory of messages, unless the user has profiles of his own."""
+    if not any(name in os.environ for name in _PROFILES):
+        os.environ[_PROFILES[0]] = str(Path(__file__).with_name("message_memory.xml"))
+        os.environ[_PROFILES[-1]] = "1"
 
 
 @contextmanager

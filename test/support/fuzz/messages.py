@@ -14,6 +14,7 @@ SECONDS = (0, 1, -1, 2**31 - 1, -(2**31), 1_700_000_000)
 NANOSECONDS = (0, 1, 999_999_999, 1_000_000_000, 2**32 - 1)
 COUNTS = (0, 1, 2, 3, 255, 10**6, 2**31 - 1, 2**31, 2**32 - 1)
 TEXTS = ("", " ", "a", "nan", "../../etc", "x" * 5000, "\n\x1b[31m", "é\u202e", "a\x00b")
+LARGE = 0.05  # of the messages that are stretched, up to 1 MiB
 BADNESS = (
     0.0,
     0.0,
@@ -51,6 +52,8 @@ def _counted(rng, cdr):
 
 
 def _stretched(rng, cdr):
+    if rng.random() < LARGE:
+        return bytes(cdr) + bytes(int(rng.integers(2**20)))
     return bytes(cdr) + rng.bytes(int(rng.integers(1, 2000)))
 
 

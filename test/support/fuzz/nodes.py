@@ -48,7 +48,7 @@ _FEW = 0.01  # share of messages for which a node builds its scene anew
 _AFRESH = 0.3  # share of requests that reset
 _LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 _OF_ROS = ("/parameter_events", "/rosout", "/diagnostics", "/transition_event")
-_HIDES = ("ignored",)  # ends of diagnostics that repeat names of messages
+_HIDES = ("ignored", "frame of the markers")  # ends of diagnostics that repeat texts of messages
 
 
 class Target:
