@@ -29,9 +29,9 @@ _PIECE = 0.01  # s, over which A is taken for constant
 _SMALL = 0.25  # of |A dt|, where its exponential is not halved: twelve terms leave 1e-16
 _SERIES = np.array([1.0 / math.factorial(i) for i in range(12)]).reshape(3, 4)
 _STAGE = 0.1  # rad, m or their rates in one step to the first state, unless it is far away
-_SHARE = 0.03  # of the way, in one step, if that is longer
-_FARTHEST = 1.0e4  # rad, m or their rates, from where on nothing is sought
-_SEARCHES = 400  # steps to the first state, at most
+_SHARE = 0.05  # of the way, in one step, if that is longer
+_FARTHEST = 1.0e3  # rad, m or their rates, from where on nothing is sought
+_SEARCHES = 150  # steps to the first state, at most
 _STALLED = 50  # steps without a shorter one, after which no more is sought
 _FOUND = 1.0e-9  # last step to it [m, rad and rates]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import gc
 import os
 import signal
@@ -24,6 +25,7 @@ from rclpy.utilities import remove_ros_args
 from mbd_ros.errors import BAD_INPUT
 from mbd_ros.nodes.shell.parameters import PARAMETERS, Parameter
 from mbd_ros.nodes.shell.params_file import meaning, parameter_files
+from mbd_ros.nodes.shell.serialized import LARGEST
 from mbd_ros.nodes.shell.shell import Shell
 from mbd_ros.regular_file import check_regular
 
@@ -38,6 +40,7 @@ _PROFILES = (
     "FASTDDS_DEFAULT_PROFILES_FILE",
     "RMW_FASTRTPS_USE_QOS_FROM_XML",
 )
+_M_MMAP_THRESHOLD = -3  # of malloc.h: what is larger goes back to the system when it is freed
 PATIENCE = 0.1  # [s] that a signal waits at most: an executor does not wake up for one
 
 
@@ -94,10 +97,16 @@ def _check_parameter_files(name: str, arguments: Sequence[str]) -> None:
 
 
 def _free_messages() -> None:
-    """Let Fast DDS free the memory of messages, unless the user has profiles of his own."""
+    """Let Fast DDS free the memory of messages, unless the user has profiles of his own.
+
+    What is larger than a node reads then goes back to the system at once.
+    """
     if not any(name in os.environ for name in _PROFILES):
         os.environ[_PROFILES[0]] = str(Path(__file__).with_name("message_memory.xml"))
         os.environ[_PROFILES[-1]] = "1"
+    libc = ctypes.CDLL(None)
+    if hasattr(libc, "mallopt"):  # glibc
+        libc.mallopt(_M_MMAP_THRESHOLD, LARGEST)
 
 
 @contextmanager

@@ -59,7 +59,7 @@ class EstimateMessages(NamedTuple):
 
 
 Answer = list[EstimateMessages] | Taken  # estimates that are due, or what became of the sample
-_MOST_LAG = 1.0  # s, by which answers may lag behind before late samples are left out
+_MOST_LAG = 0.3  # s, by which answers may lag behind before late samples are left out
 _REWIND = 1.0  # s, by which wrenches are older where time begins anew
 
 

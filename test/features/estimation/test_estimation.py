@@ -7,8 +7,10 @@ import pinocchio as pin
 import pytest
 
 from mbd_ros import load_scene, scene_from
-from mbd_ros.errors import DataError, SceneError
+from mbd_ros.errors import DataError, SceneError, SolveError
+from mbd_ros.features.estimation import tracker as tracker_module
 from mbd_ros.features.estimation.estimation import estimation_of, made_ready
+from mbd_ros.features.estimation.faults import FaultNaming
 from mbd_ros.features.estimation.mechanism_process import MechanismProcess
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import LagWindow, Taken, Tracker
@@ -500,3 +502,55 @@ def test_estimates_with_a_lag_stand_between_filter_and_smoother():
         off[lag, drifting] = float(np.sqrt(np.mean(error[30:90] ** 2)))
     assert off[0.0, True] > 1.2 * off[0.03, True] > 1.2 * off[None, True]
     assert off[None, True] < 0.5 < off[0.0, False]
+
+
+def test_a_tracker_remembers_so_many_samples_and_a_window_lets_the_oldest_go(monkeypatch):
+    """Samples of one moment never leave by their age."""
+    monkeypatch.setattr(tracker_module, "MOST_SAMPLES", 20)
+    found = prepared("four_bar")
+    tracker, values = tracked(found, memory=1.0), np.full(found.process.sensors.m, np.nan)
+    tracker.window = LagWindow(found.process, 1.0)
+    told = []
+    for k in range(1, 31):
+        assert tracker.take(1e-3 * k, values, None) is Taken.USED
+        told += tracker.window.due()
+    assert [delayed.belief.t for delayed in told] == [1e-3 * k for k in range(1, 11)]
+    assert tracker.take(5.5e-3, values, None) is Taken.OLD
+    assert tracker.take(25.5e-3, values, None) is Taken.PLACED
+    tracker.is_hurried = True
+    assert tracker.take(28.5e-3, values, None) is Taken.OLD
+
+
+def test_an_interval_that_is_too_long_is_not_simulated():
+    found = prepared("four_bar")
+    tracker = tracked(found, longest=0.5)
+    values = found.process.sensors.values(found.process.start, None)
+    tracker.take(1e9, values, None)  # 30 years: simulating them would not end
+    assert tracker.belief.t == 1e9
+    assert np.isfinite(tracker.belief.P).all()
+
+
+def test_a_measurement_that_is_too_far_away_is_refused():
+    found = prepared("four_bar")
+    values = found.process.sensors.values(found.process.start, None)
+    far = np.where(np.arange(len(values)) == 0, 1e6, values)
+    with pytest.raises(SolveError, match=r"e\+0. rad or m away from the state, accepted: 1000"):
+        found.process.near(found.process.start, far, found.prior)
+
+
+def test_an_innovation_that_is_not_finite_says_nothing():
+    found = prepared("four_bar")
+    tracker = tracked(found)
+    values = found.process.sensors.values(found.process.start, None)
+    tracker.take(1e-3, values, None)
+    innovation, before = tracker.belief.innovation, tracker.watch.consistency()
+    tracker.watch.add(innovation._replace(squared=np.inf))
+    assert tracker.watch.consistency() == before
+
+
+def test_samples_of_one_moment_are_one_to_the_naming_of_faults():
+    found = prepared("arm7")
+    naming = FaultNaming(found.process.simulation.system, {}, np.array([0]))
+    for _ in range(5):
+        naming.add(found.process.start, None, np.ones(1), np.ones(1))
+    assert len(naming._samples) == 1

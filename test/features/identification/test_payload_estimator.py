@@ -7,6 +7,7 @@ from identification_data import fourier
 
 from mbd_ros.api import load_scene
 from mbd_ros.core.model.inertial_parameters import is_consistent
+from mbd_ros.errors import SolveError
 from mbd_ros.features.identification.payload.recursive import RecursivePayload
 
 HELD = pin.Inertia(1.7, np.array([0.01, -0.02, 0.09]), np.diag([0.004, 0.005, 0.003]))
@@ -65,3 +66,13 @@ def test_what_was_held_before_is_forgotten():
         found.update(10_000_000_000 + round(stamp * 1e9), position, effort)
     assert found.numbers[0] == pytest.approx(0.0, abs=0.05)
     assert is_consistent(found.body)
+
+
+def test_what_is_too_large_for_an_estimate_is_refused_and_changes_nothing():
+    scene, t = load_scene("arm7"), np.arange(0.0, 3.0, 0.01)
+    found = fed(estimator(scene), scene, t, fourier(7, t, 1, frequency=0.15, amplitude=0.4))
+    numbers, updates = found.numbers.copy(), found.updates
+    with np.errstate(over="ignore"), pytest.raises(SolveError, match="too large for an estimate"):
+        found.update(round(4e9), np.full(7, 0.1), np.full(7, 1e200))
+    assert found.updates == updates
+    assert np.array_equal(found.numbers, numbers)
