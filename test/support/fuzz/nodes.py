@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from deadline import DEADLINE
 from fuzz.messages import Hostile
 from fuzz.subjects import SUBJECTS, Seeds, Subject
 from nodes.joint_stream import ACTIVE, SCENES, parameter_file
-from nodes.node_process import DEADLINE, NodeProcess
+from nodes.node_process import NodeProcess
 from nodes.simulation_client import DEEP, QuickProbe
 from rcl_interfaces.srv import GetParameters, ListParameters, SetParameters
 from rclpy.duration import Duration
@@ -137,7 +138,7 @@ class Target:
         for topic in self.subject.asked:
             self.publishers[self._full(topic)].publish(self._valid(topic, k))
         if k >= self.subject.silent:
-            self.probe.spin_until(lambda: len(answer) > seen, PATIENCE)
+            self.probe.spin_until(lambda: len(answer) > seen)
 
     def reset(self) -> None:
         """The node at its beginning, and active."""
@@ -170,9 +171,7 @@ class Target:
             self.ask(k)
             between(k)
         least = EXCHANGES - self.subject.silent
-        self.probe.spin_until(
-            lambda: all(len(heard) >= least for heard in self.heard.values()), PATIENCE
-        )
+        self.probe.spin_until(lambda: all(len(heard) >= least for heard in self.heard.values()))
         # A simulator that waits for a command shows its state again.
         return {topic: [cdr for cdr, _ in groupby(heard)] for topic, heard in self.heard.items()}
 
