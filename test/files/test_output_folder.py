@@ -130,6 +130,22 @@ def test_the_picture_of_a_page_stays_beside_it(folder):
     (folder / "cost.png").touch()
     with pytest.raises(DataError, match="images: is a link that leads out"):
         list(put_headlines(folder / "README.md", folder))
+    (folder / "images").unlink()
+    for name in ("../cost", "absent"):
+        section["figures"] = section["headline"] = [name]
+        (folder / "report.json").write_text(json.dumps(numbers), encoding="utf-8")
+        with pytest.raises(DataError, match="no name of a file|absent.png: cannot be read"):
+            list(put_headlines(folder / "README.md", folder))
+    assert not (folder / "images").exists()
+
+
+@pytest.mark.parametrize("text", ["{}", "[]", "1", "[" * 100_000, '{"machine": 1}', "\xff"])
+def test_reports_that_are_none_are_refused(folder, text):
+    make_folder(folder)
+    (folder / "README.md").write_text(f"{BEGIN}\n{END}\n", encoding="utf-8")
+    (folder / "report.json").write_text(text, encoding="latin-1")
+    with pytest.raises(DataError, match="report.json: no report that can be read"):
+        list(put_headlines(folder / "README.md", folder))
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "/x", "a\\b", "a\0"])

@@ -263,23 +263,26 @@ def put_headlines(readme: Path, folder: Path) -> Iterator[str]:
     Raises:
         DataError: There is no report, or the page has no marks.
     """
-    numbers = _load(folder / "report.json")
+    report = place_in(folder, "report.json")
+    numbers = _load(report)
     try:
-        with open_regular(readme) as file:
-            text = file.read().decode("utf-8")
-    except OSError as error:
-        raise DataError(f"{readme}: cannot be read ({error.strerror})") from error
+        text = _bytes(readme).decode("utf-8")
     except UnicodeDecodeError as error:
         raise DataError(f"{readme}: is not UTF-8 text: {error.reason}") from error
     if len(_BETWEEN.findall(text)) != 1:
         raise DataError(f"{readme}: expected {BEGIN} and {END} once")
-    lines = [BEGIN, *_made(numbers), *_tables(numbers)]
-    figures = [f for s in numbers["sections"].values() for f in s["figures"] if f in s["headline"]]
+    try:
+        lines = [BEGIN, *_made(numbers), *_tables(numbers)]
+        sections = numbers["sections"].values()
+        figures = [str(f) for s in sections for f in s["figures"] if f in s["headline"]]
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise DataError(f"{report}: no report that can be read ({error!r})") from error
     if figures:
         target = place_in(readme.parent, *_PLOT)
+        picture = _bytes(place_in(folder, f"{figures[0]}.png"))
         make_folder(target.parent)
         with replacing(target) as file:
-            file.write((folder / f"{figures[0]}.png").read_bytes())
+            file.write(picture)
         lines += [f"![{figures[0].replace('_', ' ')}]({'/'.join(_PLOT)})", ""]
         yield f"{figures[0]} -> {target}"
     new = _BETWEEN.sub(lambda _: "\n".join([*lines, END]), text)
@@ -290,11 +293,18 @@ def put_headlines(readme: Path, folder: Path) -> Iterator[str]:
 
 def _load(path: Path) -> dict[str, Any]:
     try:
-        with open_regular(path) as file:
-            loaded: dict[str, Any] = json.load(file)
-    except (OSError, ValueError) as error:
+        loaded: dict[str, Any] = json.loads(_bytes(path))
+    except (ValueError, RecursionError) as error:
         raise DataError(f"{path}: no report that can be read ({error})") from error
     return loaded
+
+
+def _bytes(path: Path) -> bytes:
+    try:
+        with open_regular(path) as file:
+            return file.read()
+    except OSError as error:
+        raise DataError(f"{path}: cannot be read ({error.strerror})") from error
 
 
 def _made(numbers: Mapping[str, Any]) -> Iterator[str]:
