@@ -82,7 +82,7 @@ def _add_body(parser: argparse.ArgumentParser) -> None:
 def _add_mesh(parser: argparse.ArgumentParser) -> None:
     """The solid that takes the loads; lengths, stresses and densities in --units."""
     parser.add_argument(
-        "--mesh", type=path_word, help="solid elements, any file that meshio reads (extra fem)"
+        "--mesh", type=path_word, help="solid elements, such as .msh, .vtu or .inp (extra fem)"
     )
     parser.add_argument(
         "--mesh-pose",

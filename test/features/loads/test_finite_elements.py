@@ -1,5 +1,6 @@
 """Meshes with the loads of a body: CalculiX against closed forms, FEBio, ParaView, bad input."""
 
+import random
 import re
 import shutil
 import subprocess
@@ -321,6 +322,60 @@ def test_meshes_that_cannot_be_read(tmp_path):
     write_mesh(inside_out, tmp_path / "inverted.vtu", 1.0)
     with pytest.raises(DataError, match="turned inside out"):
         read_mesh(tmp_path / "inverted.vtu", 1.0)
+
+
+def broken(data, rng):
+    """A file with numbers, bytes or lines changed, or cut."""
+    if rng.random() < 0.1:
+        return data[: rng.randrange(len(data))]
+    data = bytearray(data)
+    for _ in range(rng.choice((1, 1, 2, 5))):
+        begin = rng.randrange(len(data))
+        number = re.search(rb"-?\d+", bytes(data[begin:]))
+        if number and rng.random() < 0.5:
+            new = rng.choice((b"-1", b"", b"300000000", b"99999999999999999999", b"nan", b"x"))
+            data[begin + number.start() : begin + number.end()] = new
+        else:
+            new = rng.choice((b"\xff", b"\0\0\0\0", b"\n", rng.randbytes(2), b"\xff\xff\xff\x7f"))
+            data[begin : begin + rng.choice((0, len(new)))] = new
+    return bytes(data)
+
+
+@pytest.mark.parametrize("suffix", [".vtk", ".vtu", ".msh", ".inp", ".mesh", ".bdf", ".su2"])
+def test_broken_meshes_are_refused_by_name(tmp_path, suffix, capfd):
+    import meshio
+
+    mesh = box((1.0, 1.0, 1.0), (1, 1, 1))
+    file, rng, read = tmp_path / f"mesh{suffix}", random.Random(f"49 {suffix}"), 0
+    linear = meshio.Mesh(mesh.points, [("hexahedron", mesh.blocks[0][1][:, :8])])
+    linear.write(file, file_format="gmsh22" if suffix == ".msh" else None)
+    whole = file.read_bytes()
+    for _ in range(60):
+        file.write_bytes(broken(whole, rng))
+        try:
+            read_mesh(file, 1.0)
+            read += 1
+        except DataError as error:
+            assert str(file) in str(error)
+    assert read
+
+
+@pytest.mark.parametrize("suffix", [".mdpa", ".tec", ".vol", ".off", ".ply"])
+def test_formats_whose_readers_may_not_end_are_refused(tmp_path, suffix):
+    """The reader of a cut file of Kratos went on for ever."""
+    (tmp_path / f"cut{suffix}").write_text("Begin Nodes\n")
+    with pytest.raises(DataError, match=r"unknown format, accepted: .vtk, .vtu, .msh, .inp"):
+        read_mesh(tmp_path / f"cut{suffix}", 1.0)
+
+
+def test_cells_of_nodes_that_are_not_there_are_named(tmp_path):
+    import meshio
+
+    points = np.vstack((np.zeros(3), np.eye(3)))
+    for nodes, words in (([0, 1, 2, 4], "0 .. 4"), ([-1, 1, 2, 3], "-1 .. 3")):
+        meshio.Mesh(points, [("tetra", [nodes])]).write(tmp_path / "far.vtu", binary=False)
+        with pytest.raises(DataError, match=f"its tetra: nodes {words}, there are 0 .. 3"):
+            read_mesh(tmp_path / "far.vtu", 1.0)
 
 
 def test_bad_input_of_the_command(rod, capsys):

@@ -9,6 +9,8 @@ from __future__ import annotations
 
 import glob
 import itertools
+import struct
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -37,6 +39,19 @@ _IN, _OUT = 0.138196601125011, 0.585410196624968  # coordinates of four points i
 _FOUR = np.full((4, 3), _IN) + (_OUT - _IN) * np.vstack((np.zeros(3), np.eye(3)))
 _HEX_FACES = [(0, 1, 2, 3), (4, 7, 6, 5), (0, 4, 5, 1), (1, 5, 6, 2), (2, 6, 7, 3), (3, 7, 4, 0)]
 _TET_FACES = [(0, 1, 2), (0, 3, 1), (1, 3, 2), (2, 3, 0)]
+_FORMATS = {  # whose readers end where a file is cut, which those of mdpa, off and others do not
+    **{".vtk": "vtk", ".vtu": "vtu", ".msh": "gmsh", ".inp": "abaqus"},
+    **{".mesh": "medit", ".meshb": "medit", ".bdf": "nastran", ".nas": "nastran"},
+    **{".fem": "nastran", ".su2": "su2", ".avs": "avsucd", ".f3grid": "flac3d"},
+    **{".post": "permas", ".dato": "permas", ".med": "med", ".xdmf": "xdmf", ".xmf": "xdmf"},
+    **{".cgns": "cgns", ".h5m": "h5m", ".hmf": "hmf", ".e": "exodus", ".exo": "exodus"},
+    **{".ugrid": "ugrid", ".xml": "dolfin-xml", ".node": "tetgen", ".ele": "tetgen"},
+}
+_UNREADABLE = (  # what the readers of meshio raise on broken files
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
+    *(NameError, OSError, RuntimeError, SyntaxError, SystemExit, TypeError, ValueError),
+    *(struct.error, zlib.error),
+)
 _OFF = 0.25  # lengths of an edge: how far its middle node may be off
 
 
@@ -62,7 +77,7 @@ class Mesh(NamedTuple):
 
 
 def read_mesh(path: Path, per_metre: float, pose: Sequence[float] = ()) -> Mesh:
-    """A mesh from any file that meshio reads.
+    """A mesh from a file of one of `_FORMATS`, which meshio reads.
 
     Args:
         per_metre: Its lengths in a metre.
@@ -75,27 +90,37 @@ def read_mesh(path: Path, per_metre: float, pose: Sequence[float] = ()) -> Mesh:
     """
     try:
         import meshio
+        from meshio._exceptions import CorruptionError
     except ModuleNotFoundError as error:
         raise DataError(install_hint("meshio")) from error
+    form = _FORMATS.get(path.suffix.lower())
+    if form is None:
+        raise DataError(f"--mesh {path}: unknown format, accepted: {', '.join(_FORMATS)}")
     try:
         _check_files(path)
-        read = meshio.read(path)
+        read = meshio.read(path, form)
+        points = np.asarray(read.points, dtype=np.float64) / per_metre
+        solid = [(block.type, np.asarray(block.data, dtype=np.int64)) for block in read.cells]
     except ModuleNotFoundError as error:  # of some formats
         raise DataError(f"--mesh {path}: {error.name} is not installed") from error
-    except (meshio.ReadError, OSError, ValueError, KeyError, IndexError, SystemExit) as error:
-        raise DataError(f"--mesh {path}: cannot be read ({error})") from error
-    solid = [(block.type, np.asarray(block.data, dtype=np.int64)) for block in read.cells]
-    blocks = tuple((kind, cells) for kind, cells in solid if kind in KINDS)
+    except (*_UNREADABLE, meshio.ReadError, CorruptionError) as error:
+        raise DataError(f"--mesh {path}: cannot be read ({str(error) or type(error)})") from error
+    blocks = tuple((kind, cells) for kind, cells in solid if kind in KINDS and len(cells))
     others = sorted({b.type for b in read.cells if b.dim == 3} - KINDS.keys())
     if others or not blocks:
         found = ", ".join(others or sorted({kind for kind, _ in solid})) or "nothing"
         raise DataError(f"--mesh {path}: has {found}; accepted solids: {', '.join(KINDS)}")
-    points = np.asarray(read.points, dtype=np.float64) / per_metre
-    if points.shape[1] != 3 or not np.isfinite(points).all():
+    if points.shape[1:] != (3,) or not np.isfinite(points).all():
         raise DataError(f"--mesh {path}: its nodes are not three finite numbers each")
+    for kind, cells in solid:
+        _check_nodes(path, f"its {kind}", cells, len(points))
+    for kind, cells in blocks:
+        count = len(KINDS[kind].shapes(np.zeros(3))[0])
+        if cells.shape[1:] != (count,):
+            raise DataError(f"--mesh {path}: its {kind} have not {count} nodes each")
     if len(pose):
         points = points @ rotation_matrix(pose[3:]).T + np.array(pose[:3]) / per_metre
-    mesh = _without_loose(Mesh(str(path), points, blocks, _sets(read)))
+    mesh = _without_loose(Mesh(str(path), points, blocks, _sets(path, read, len(points))))
     _check(mesh)
     return mesh
 
@@ -147,6 +172,13 @@ def _data_of_xdmf(path: Path) -> Iterator[Path]:
         raise ValueError(f"not well-formed XML: {error}") from error
 
 
+def _check_nodes(path: Path, what: str, nodes: Nodes, count: int) -> None:
+    """Refuse numbers of nodes that are not there."""
+    if nodes.size and not (nodes.min() >= 0 and nodes.max() < count):
+        named = f"{nodes.min()} .. {nodes.max()}"
+        raise DataError(f"--mesh {path}: {what}: nodes {named}, there are 0 .. {count - 1}")
+
+
 def _without_loose(mesh: Mesh) -> Mesh:
     """The mesh without nodes that no solid has."""
     used = np.unique(np.concatenate([cells.ravel() for _, cells in mesh.blocks]))
@@ -159,9 +191,21 @@ def _without_loose(mesh: Mesh) -> Mesh:
     return Mesh(mesh.name, mesh.points[used], blocks, sets)
 
 
-def _sets(read: Any) -> dict[str, Nodes]:
+def _sets(path: Path, read: Any, count: int) -> dict[str, Nodes]:
     """Sets of nodes, and the nodes of sets of cells."""
-    sets = {name: np.asarray(nodes, dtype=np.int64) for name, nodes in read.point_sets.items()}
+    try:
+        sets = {name: np.asarray(nodes, dtype=np.int64) for name, nodes in read.point_sets.items()}
+        groups = _groups(read)
+    except (ValueError, TypeError, IndexError) as error:
+        raise DataError(f"--mesh {path}: its sets cannot be read ({error})") from error
+    grouped = {name: np.unique(np.concatenate(nodes)) for name, nodes in groups.items()}
+    for name, nodes in sets.items():
+        _check_nodes(path, f"set {name}", nodes, count)
+    return {**grouped, **sets}
+
+
+def _groups(read: Any) -> dict[str, list[Nodes]]:
+    """Nodes of sets of cells, and of the tags of Gmsh, by their names."""
     groups: dict[str, list[Nodes]] = {}
     for name, per_block in read.cell_sets.items():
         for block, cells in zip(read.cells, per_block, strict=True):
@@ -174,8 +218,7 @@ def _sets(read: Any) -> dict[str, Nodes]:
             chosen = np.asarray(block.data)[np.asarray(of_cells) == tag]
             if len(chosen):
                 groups.setdefault(name, []).append(chosen.ravel())
-    grouped = {name: np.unique(np.concatenate(nodes)) for name, nodes in groups.items()}
-    return {**grouped, **sets}
+    return groups
 
 
 def _check(mesh: Mesh) -> None:
