@@ -141,7 +141,9 @@ def _samples(
     return _Samples(table, where, unused, remarks, of_laboratory=True)
 
 
-def refuse_huge(where: str, names: Sequence[str], *columns: Array | None) -> None:
+def refuse_huge(
+    where: str, names: Sequence[str], *columns: Array | None, largest: float = LARGEST
+) -> None:
     """Refuse numbers whose products with others are no numbers any more.
 
     Args:
@@ -149,6 +151,7 @@ def refuse_huge(where: str, names: Sequence[str], *columns: Array | None) -> Non
         names: Of the last axis of columns with several numbers a row, else of the columns.
         columns: Numbers, a row a sample; those that are not finite are refused, or left out,
             elsewhere.
+        largest: Size that is accepted.
 
     Raises:
         DataError: Names file, column and number.
@@ -156,13 +159,13 @@ def refuse_huge(where: str, names: Sequence[str], *columns: Array | None) -> Non
     for i, values in enumerate(columns):
         if values is None or values.dtype.kind != "f":
             continue
-        huge = np.isfinite(values) & (np.abs(values) > LARGEST)
+        huge = np.isfinite(values) & (np.abs(values) > largest)
         if huge.any():
             at = tuple(np.argwhere(huge)[0])
             name = names[at[-1]] if len(at) > 1 else names[i]
             raise DataError(
                 f"{where}: {name} is {values[at]:g} in row {at[0] + 1}, accepted are sizes up to "
-                f"{LARGEST:g}"
+                f"{largest:g}"
             )
 
 

@@ -19,10 +19,11 @@ from mbd_ros.motion.derivatives import Derivatives, differentiate
 from mbd_ros.motion.external_loads import read_loads, wrench_at
 from mbd_ros.motion.filters import zero_phase
 from mbd_ros.motion.long_stamps import parts_of
-from mbd_ros.motion.recordings import Source, name_of
+from mbd_ros.motion.recordings import Source, name_of, refuse_huge
 from mbd_ros.motion.samples import Task, kept_rows, read_recording
 from mbd_ros.scene.built_scene import Scene
 
+_LARGEST = 1.0e9  # rad, rad/s, N·m, ..: no machine has that, and its squares hide all others
 _MEASURED = 0.99  # of the samples: a joint with fewer efforts has none
 _LEARNED = 0.6  # of the time of a recording; what follows is for the test
 _ENERGY_SHARE = 0.999  # of the energy of a velocity, which lies below the frequency of the motion
@@ -119,6 +120,8 @@ def read(
     for reason, count in dropped.items():
         say(f"{count} wrenches left out: {reason}")
     motion, n = recording.motion, len(scene.couplings.independent)
+    fields = motion.position, motion.velocity, motion.acceleration, motion.effort
+    refuse_huge(name_of(source), motion.names, *fields, largest=_LARGEST)
     if derivatives is None:
         there = (motion.velocity, motion.acceleration)
         whole = all(x is not None and np.isfinite(x[:, :n]).all() for x in there)

@@ -50,8 +50,10 @@ def change_value(rng: random.Random, values: Any, mild: bool) -> None:
     draw = rng.random()
     if mild:
         inner[key] = near(rng, inner[key])
+    elif _works(inner, key):  # it stays: its default may be more work
+        inner[key] = rng.choice(FEW)
     elif draw < 0.6:
-        inner[key] = rng.choice(FEW) if _works(inner, key) else anything(rng)
+        inner[key] = anything(rng)
     elif draw < 0.75:
         del inner[key]
     elif isinstance(inner, dict):

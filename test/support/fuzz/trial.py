@@ -179,7 +179,7 @@ def _of_streams(
     if ended.code not in (0, 1, 2):
         found.append(f"exit {ended.code}")
     if (
-        ended.code
+        ended.code == 2
         and not is_behind
         and not (folder in ended.told or "--" in ended.told or "-t:" in ended.told)
     ):
