@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
+from mmap import ACCESS_READ, mmap
 from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from mbd_ros.core.model.robot import BASE
 from mbd_ros.errors import DataError, SceneError
+from mbd_ros.regular_file import open_regular
 from mbd_ros.scene.schema.strict_yaml import read_mapping
 
 SUFFIXES = (".mcap", ".db3")
@@ -100,7 +102,11 @@ def _is_ours(path: Path) -> bool:
     if path.is_dir() and "metadata.yaml" not in names:
         return False
     marked = path / "metadata.yaml" if path.is_dir() else path
-    return ": ".join(MARK).encode() in marked.read_bytes()
+    try:
+        with open_regular(marked) as file, mmap(file.fileno(), 0, access=ACCESS_READ) as content:
+            return content.find(": ".join(MARK).encode()) >= 0
+    except (OSError, ValueError):  # it may not be read, or is empty
+        return False
 
 
 def check_sqlite_path(path: Path) -> None:

@@ -88,7 +88,8 @@ class Parquet:
             if said <= limit:
                 for batch in file.iter_batches(_TEXT_ROWS if is_text else _ROWS):
                     batches.append(batch)
-                    size += batch.nbytes
+                    # values that rows only refer to are shared by all batches
+                    size += sum(getattr(c, "indices", c).nbytes for c in batch.columns)
                     if size > limit:
                         break
             if max(said, size) > limit:
