@@ -109,7 +109,7 @@ fuzz: venv
 	PYTHONPATH=test/support $(BIN)/python -m fuzz.run $(if $(CASES),--cases $(CASES)) $(if $(SEED),--seed $(SEED))
 
 fuzz-nodes: venv
-	PYTHONPATH=test/support $(BIN)/python -m fuzz.nodes
+	PYTHONPATH=test/support $(BIN)/python -m fuzz.nodes $(if $(MESSAGES),--messages $(MESSAGES)) $(if $(SEED),--seed $(SEED))
 
 bench: venv
 	$(BIN)/python benchmarks/costs/forward.py

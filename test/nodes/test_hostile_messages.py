@@ -251,3 +251,14 @@ def test_names_of_ignored_joints_do_not_pile_up(domain, tmp_path, name):
         assert ignored.endswith("more") and len(ignored) < 1000
         assert target.node.log.count("joints ignored") <= 10
         assert len(target.node.log) < 20_000
+
+
+def test_messages_that_were_taken_leave_no_memory(domain, tmp_path):
+    """DDS kept a buffer of the largest message for each place of a queue: 50 MB here."""
+    with under_fire("simulator_four_bar", domain, tmp_path) as target:
+        large = serialize_message(target.valid(0)) + bytes(1_000_000)
+        commands, before = target.publishers[f"{target.name}/commands"], target.memory()
+        for _ in range(50):
+            commands.publish(large)
+        counted(target, "malformed", 50)
+        assert target.memory() < before + 20.0
