@@ -1,7 +1,10 @@
 """Broken models of MuJoCo are refused by file, element and what is wrong; odd ones are read."""
 
+import itertools
+import random
 import time
 
+import numpy as np
 import pytest
 
 from mbd_ros.errors import SceneError
@@ -54,6 +57,17 @@ BAD = {
             '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 1 1 0"/></asset><worldbody>',
         ),
         ("its mesh is flat",),
+    ),
+    "vertex": (
+        GOOD.replace('<geom size="0.1"/>', '<geom type="mesh" mesh="m"/>').replace(
+            "<worldbody>",
+            '<asset><mesh name="m" vertex="0 0 0 1 0 0 0 1 0 0 0 1e20"/></asset><worldbody>',
+        ),
+        ("mesh 'm' has a vertex at no place, accepted are numbers up to 1e+06",),
+    ),
+    "negative moment": (
+        GOOD.replace('<geom size="0.1"/>', '<inertial mass="1" diaginertia="-1 1 1"/>'),
+        ("inertial", "its moments of inertia are negative"),
     ),
     "shell": (
         GOOD.replace('<geom size="0.1"/>', '<geom size="0.1" shellinertia="true"/>'),
@@ -166,3 +180,57 @@ def test_many_elements_take_linear_time(tmp_path, kind):
     begin = time.process_time()
     import_model(tmp_path / "many.xml", "mjcf", {})
     assert time.process_time() - begin < 4.0
+
+
+CUBE = np.array(list(itertools.product((0.0, 1.0), repeat=3)))
+FACES = [(0, 1, 3), (0, 3, 2), (4, 7, 5), (4, 6, 7), (0, 5, 1), (0, 4, 5)]
+FACES += [(2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]
+
+
+def mesh_files():
+    """A cube as files of all formats that are read."""
+    lines = [f"v {x} {y} {z}" for x, y, z in CUBE]
+    lines += [f"f {a + 1} {b + 1} {c + 1}" for a, b, c in FACES]
+    corners = [CUBE[list(face)].astype("<f4") for face in FACES]
+    facets = [np.zeros(3, "<f4").tobytes() + one.tobytes() + b"\0\0" for one in corners]
+    binary = b" " * 80 + len(FACES).to_bytes(4, "little") + b"".join(facets)
+    text = "".join(
+        "facet normal 0 0 0\nouter loop\n"
+        + "".join(f"vertex {x} {y} {z}\n" for x, y, z in one)
+        + "endloop\nendfacet\n"
+        for one in corners
+    )
+    return {
+        "a.obj": "\n".join(lines).encode(),
+        "a.stl": binary,
+        "b.stl": f"solid a\n{text}endsolid a\n".encode(),
+    }
+
+
+@pytest.mark.parametrize("name", mesh_files())
+@pytest.mark.parametrize("rule", ["convex", "legacy", "exact"])
+def test_broken_meshes_are_refused_by_name(tmp_path, name, rule):
+    """Cut, without numbers, at infinity, with corners that are not there, or of no text."""
+    whole, rng, read = mesh_files()[name], random.Random(f"{name} {rule}"), 0
+    mesh = f'<asset><mesh name="m" file="{name}" inertia="{rule}"/></asset>'
+    body = '<body><joint/><geom type="mesh" mesh="m"/></body>'
+    model = tmp_path / "m.xml"
+    model.write_text(f"<mujoco>{mesh}<worldbody>{body}</worldbody></mujoco>")
+    (tmp_path / name).write_bytes(whole)
+    import_model(model, "mjcf", {})
+    for _ in range(40):
+        data = bytearray(whole)
+        for _ in range(rng.choice((1, 2, 5))):
+            begin = rng.randrange(len(data))
+            new = rng.choice(
+                (b"nan", b"-1", b"1e300", b"99", b"\xff", b"\0\0\xc0\x7f", b"\0\0\x80\x7f")
+            )
+            data[begin : begin + rng.choice((0, len(new)))] = new
+        cut = rng.choice((len(data), len(data), rng.randrange(len(data))))
+        (tmp_path / name).write_bytes(data[:cut])
+        try:
+            import_model(model, "mjcf", {})
+            read += 1
+        except SceneError as error:
+            assert "geom" in str(error)
+    assert read

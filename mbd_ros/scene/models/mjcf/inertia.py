@@ -18,6 +18,7 @@ from mbd_ros.scene.models.urdf_text import Mass
 
 _RULES = ("legacy", "convex", "exact", "shell")
 _FLAT = 1.0e-9  # least over largest extent
+_LARGEST_PLACE = 1.0e6  # of a vertex, in the unit of its mesh
 _ENDINGS = (".stl", ".obj")
 _TYPES = (
     *("sphere", "capsule", "cylinder", "box", "ellipsoid"),
@@ -63,7 +64,10 @@ def _given(inertial: Item, compiler: Compiler) -> Any:
         tensor = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     else:
         tensor = np.diag(inertial.vector("diaginertia", [0.0] * 3))
-    return at.act(pin.Inertia(inertial.number("mass", 0.0), np.zeros(3), tensor))
+    try:
+        return at.act(pin.Inertia(inertial.number("mass", 0.0), np.zeros(3), tensor))
+    except (ValueError, RuntimeError) as error:  # of Pinocchio
+        raise inertial.error("its moments of inertia are negative") from error
 
 
 def _solid(geom: Item, meshes: Meshes) -> Any:
@@ -211,7 +215,11 @@ class Meshes:
             raise geom.error(f"triangles of mesh '{name}' face inwards")
         if volume <= 0.0:
             raise geom.error(f"mesh '{name}' has no volume: give <inertial>, or mass='0'")
-        return _inertia(corners, centre, is_signed)
+        try:
+            return _inertia(corners, centre, is_signed)
+        except (ValueError, RuntimeError) as error:  # of Pinocchio
+            reason = "has an inertia that no body has: its triangles enclose nothing"
+            raise geom.error(f"mesh '{name}' {reason}; give <inertial>, or mass='0'") from error
 
     def _corners(self, geom: Item, item: Item, is_convex: bool) -> Array:
         """Corners of all triangles in the axes of the mesh [m], shape (n, 3, 3)."""
@@ -225,6 +233,9 @@ class Meshes:
                 faces = np.reshape(given[: len(given) // 3 * 3], (-1, 3)).astype(np.intp)
                 if faces.min() < 0 or faces.max() >= len(vertices):
                     raise item.error(f"face names vertices beyond 0 .. {len(vertices) - 1}")
+        if not (np.abs(vertices) <= _LARGEST_PLACE).all():
+            accepted = f"accepted are numbers up to {_LARGEST_PLACE:g}"
+            raise geom.error(f"mesh '{item.name}' has a vertex at no place, {accepted}")
         vertices = vertices - np.array(item.vector("refpos", [0.0] * 3))
         w, *xyz = item.vector("refquat", (1.0, 0.0, 0.0, 0.0))
         turn = pin.Quaternion(w, *xyz).normalized().toRotationMatrix()
