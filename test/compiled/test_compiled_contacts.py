@@ -136,13 +136,15 @@ def test_stools_with_an_event_in_every_fifth_step_cost_a_fraction_of_plain_steps
 
 def test_a_sphere_begins_to_roll_at_a_third_of_the_cost_of_plain_steps():
     """Measured: 14 times less; a shared machine needs some margin."""
-    scene, seconds = load_scene(f"{SCENES}sphere_on_plane.yaml"), []
+    scene, seconds = load_scene(f"{SCENES}sphere_on_plane.yaml"), ([], [])
     assert compared(scene, Rk4(), 0.01, 1.5).stepper.handed_over <= 2
-    for simulation in simulations(scene, Rk4(), 0.01):
-        begin = time.process_time()
-        list(simulation.run(scene.initial, 1.5))
-        seconds.append(time.process_time() - begin)
-    assert 3.0 * seconds[0] < seconds[1]
+    both = simulations(scene, Rk4(), 0.01)
+    for _ in range(3):
+        for simulation, times in zip(both, seconds, strict=True):
+            begin = time.process_time()
+            list(simulation.run(scene.initial, 1.5))
+            times.append(time.process_time() - begin)
+    assert 3.0 * min(seconds[0]) < min(seconds[1])
 
 
 def reaching(friction, height):

@@ -10,6 +10,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from deadline import DEADLINE
 from places import ROOT
 
 FOLDER = ROOT / "build" / "crashes"
@@ -48,7 +49,7 @@ def pytest_handlecrashitem(crashitem, report):
     """Say in the report of a test whose worker died where its stack is, and show it."""
     path = FOLDER / f"pytest-{_of_worker(report.node.workerinput)}.txt"
     process = getattr(report.node.gateway._io, "popen", None)
-    code = None if process is None else process.wait(10.0)
+    code = None if process is None else process.wait(DEADLINE)
     with path.open("a") as file:
         file.write(f"\nexit code {code} in {crashitem}\n")
     report.longrepr = f"{report.longrepr}\n{path}:\n{path.read_text()}"

@@ -133,25 +133,25 @@ def test_warm_started_solves_along_a_path_are_all_right(seed):
 def test_thirty_thousand_warm_started_solves():
     gc.disable()  # a collection of what pytest holds takes 10 ms, wherever it happens
     try:
-        worst = max(solved_along_paths(seed, 5, 1000) for seed in range(6))
+        costs = [cost for seed in range(6) for cost in solved_along_paths(seed, 5, 1000)]
     finally:
         gc.enable()
-    assert worst <= 5e-3
+    assert max(costs) <= 100.0 * np.median(costs)
 
 
 def solved_along_paths(seed, paths, count):
-    """Longest solve [s of CPU]; every answer is checked, none may fail or need damping."""
-    rng, worst = np.random.default_rng(seed), 0.0
+    """What each solve costs [s of CPU]; every answer is checked, none may fail or need damping."""
+    rng, costs = np.random.default_rng(seed), []
     for n in rng.integers(2, 9, size=paths):
         qp = BoxQp(int(n))
         for A, b, lower, upper in along_a_path(rng, int(n), count):
             begin = time.thread_time()
             lam = qp.solve(A, b, lower, upper)
-            worst = max(worst, time.thread_time() - begin)
+            costs.append(time.thread_time() - begin)
             assert complementarity_residual(A, b, lower, upper, lam) <= 1e-9
         assert qp.statistics.failed == 0
         assert qp.statistics.damped == 0
-    return worst
+    return costs
 
 
 # ---------------------------------------------------------------------- limits that give way

@@ -229,13 +229,11 @@ def test_a_hundred_thousand_random_states(name):
 @pytest.mark.alone
 @each_kind
 @each_mechanism
-def test_a_solve_takes_less_than_a_millisecond_and_ten_times_the_tier_without(name, kind):
+def test_a_solve_takes_less_than_ten_times_the_tier_without(name, kind):
     scene, joints = mechanism(name)
     given = list(situations(scene, joints, np.random.default_rng(5), 2000, kind))
     spent, without, _ = with_and_without_limits(joints, given)
-    p99, tier = np.percentile(spent, 99), np.median(without)
-    assert p99 <= 1000.0
-    assert p99 <= 10.0 * tier
+    assert np.percentile(spent, 99) <= 10.0 * np.median(without)
 
 
 # ---------------------------------------------------------------------- in closed loop

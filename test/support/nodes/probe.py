@@ -17,6 +17,7 @@ from rclpy.parameter import Parameter
 
 from msg_adapters.diagnostics import Health, read_diagnostics
 
+_AGAIN = 1.0  # s
 _TOPICS = 10  # of a test at most, with messages that wait to be taken
 
 
@@ -95,14 +96,14 @@ class Probe:
         return future.result()
 
     def ask_repeatedly(self, client: Any, request: Any) -> Any:
-        """Response to a request, sent every second until there is one.
+        """Response to a request, sent again and again until there is one.
 
         A client knows a service a moment before the service knows the client, and rmw gives the
         response to an unknown client up after 0.1 s.
         """
         end = time.monotonic() + DEADLINE
         while time.monotonic() < end:
-            future, again = client.call_async(request), time.monotonic() + 1.0
+            future, again = client.call_async(request), time.monotonic() + _AGAIN
             while time.monotonic() < again and not future.done():
                 self._executor.spin_once(timeout_sec=0.02)
             if future.done():
