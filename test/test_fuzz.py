@@ -9,6 +9,7 @@ import pytest
 from fuzz import tables, urdf
 from fuzz.kinds import KINDS, RANDOM, SCENE, case_of, read_by, readers, seeds_of
 from fuzz.run import FEWEST
+from fuzz.seeds import cube
 from fuzz.trial import Case, behaves, tried
 
 ONE_LINK = "<robot name='r'><link name='l0'/></robot>"
@@ -92,6 +93,13 @@ def arrays_of(kind, index, name, **changes):
         },
     )
     return hostile(kind, index, **{name: target.getvalue()})
+
+
+def to_csv(kind):
+    """The case of a seed whose result is a .csv in place of an .npz."""
+    seed = seeds_of(kind)[0]
+    words = tuple(word.replace(".npz", ".csv") for word in seed.words)
+    return Case(words, seed.files, "o.csv")
 
 
 J = PENDULUM.joints[0]
@@ -216,6 +224,17 @@ FOUND = {  # made when they are asked for, from the seeds of a kind
     "an effort of 1e300 that is followed": lambda: with_number("follow", 0, "m.csv", 3, "1e300"),
     "an acceleration of 1e200 of an arm with muscles": lambda: with_number(
         "muscles", 2, "m.csv", 2, "1e200"
+    ),
+    "a velocity of 1e20 that is identified": lambda: with_number(
+        "identify", 0, "h.csv", 5, "1e20"
+    ),
+    "a load of 1e19 in an estimate": lambda: with_number("estimate", 2, "w.csv", 8, "1e19"),
+    "a marker that no scene has": lambda: hostile(
+        "scale", t_yaml=b"scale: {name: a, segments: {l1: {pairs: [[A, Z]]}}}"
+    ),
+    "words in a table beside a motion as .csv": lambda: to_csv("predict"),
+    "a vertex of 1e38": lambda: hostile(
+        "meshes", **{"c.obj": cube(".obj").replace(b"v 0.1", b"v 1e38")}
     ),
     "a tension of 1e200": lambda: with_number("loads", 3, "f.csv", 2, "1e200"),
     "a load of 1e308": lambda: with_number("simulate", 1, "w.csv", 2, "1e308"),

@@ -8,18 +8,24 @@ from mbd_ros.jobs.progress import Say
 
 
 def write_tables(result: Result, out: Path, say: Say) -> None:
-    """Write all tables, `samples` to the given place.
+    """Write all tables, `samples` first and to the given place.
+
+    Tables beside `samples` that the format cannot hold, since they have words, are left out.
 
     Args:
         out: Its suffix chooses the format.
         say: Is told what went where, a line a file.
     """
-    if not format_of(out).one_table:
+    chosen = format_of(out)
+    if not chosen.one_table:
         result.to(out)
         say(f"{', '.join(result)} -> {out}")
         return
-    for name, table in result.tables.items():
+    for name, table in sorted(result.tables.items(), key=lambda pair: pair[0] != MAIN):
         place = out if name == MAIN else beside(out, name)
+        if name != MAIN and not all(map(chosen.holds, table.columns)):
+            say(f"{name} is left out, a file holds {chosen.content}; .npz holds all tables")
+            continue
         Result({MAIN: table}, result.metadata).to(place)
         say(f"{name}, {table.rows} rows -> {place}")
 

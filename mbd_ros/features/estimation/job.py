@@ -10,7 +10,7 @@ import numpy as np
 from mbd_ros.core.contracts import Sensor
 from mbd_ros.core.dynamics.output_values import Showing
 from mbd_ros.core.state import NANOSECOND, Array, Motion
-from mbd_ros.errors import DataError, MbdError, SceneError
+from mbd_ros.errors import DataError, MbdError, SceneError, SolveError
 from mbd_ros.features.estimation.estimation import EFFORTS, Estimation, estimation_of
 from mbd_ros.features.estimation.faults import InnovationWatch
 from mbd_ros.features.estimation.task import EstimateTask
@@ -200,10 +200,13 @@ def _filtered(
     samples, faults = list[Filtered](), dict[str, tuple[str, int]]()
     for k, t in progress(enumerate(times.tolist()), len(times), "estimate"):
         try:
-            tracker.take(t, values[k], inputs[k])
+            with np.errstate(over="ignore", invalid="ignore"):  # the belief is looked at
+                tracker.take(t, values[k], inputs[k])
         except MbdError as error:
             raise type(error)(f"{where}: at t = {t:.9g} s: {error}") from error
         belief = estimator.belief
+        if not np.isfinite(belief.P).all():
+            raise SolveError(f"{where}: at t = {t:.9g} s: the estimate is not finite")
         is_filter = isinstance(estimator, KalmanFilter)
         samples.append(estimator.sample if is_filter else Filtered(None, belief, belief))
         for name, what in tracker.faults.found().items():

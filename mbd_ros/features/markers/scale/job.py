@@ -17,6 +17,7 @@ from mbd_ros.errors import DataError, ModelError, SceneError
 from mbd_ros.features.markers.marker_kinematics import markers_of
 from mbd_ros.features.markers.scale.task import ScaleTask
 from mbd_ros.files.output_folder import comment_line, file_stem, write_files
+from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say
 from mbd_ros.motion.recordings import Capture, Source, read_capture
 from mbd_ros.scene.built_scene import Scene
@@ -76,7 +77,8 @@ def scale_to(scene: Scene, static: Path, task: Path, folder: Path, say: Say) -> 
         MbdError: As `scaled`, or a place that cannot be written to.
     """
     asked = _read(scene, task)
-    entries, text = scaled_entries(scene, static, asked, say)
+    with about(task):
+        entries, text = scaled_entries(scene, static, asked, say)
     scene_from(entries, urdf=text)
     name = file_stem(asked.name)
     robot = {"urdf": f"{name}.urdf", **entries["robot"]}
