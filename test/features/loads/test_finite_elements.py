@@ -2,6 +2,7 @@
 
 import random
 import re
+import resource
 import shutil
 import subprocess
 from xml.etree import ElementTree
@@ -366,6 +367,39 @@ def test_formats_whose_readers_may_not_end_are_refused(tmp_path, suffix):
     (tmp_path / f"cut{suffix}").write_text("Begin Nodes\n")
     with pytest.raises(DataError, match=r"unknown format, accepted: .vtk, .vtu, .msh, .inp"):
         read_mesh(tmp_path / f"cut{suffix}", 1.0)
+
+
+GRID = """# vtk DataFile Version 4.2
+grid
+ASCII
+DATASET STRUCTURED_POINTS
+DIMENSIONS 2000 2000 2000
+ORIGIN 0 0 0
+SPACING 1 1 1
+"""
+FAR_NODE = """$MeshFormat
+2.2 0 8
+$EndMeshFormat
+$Nodes
+2
+1 0 0 0
+2000000000 1 0 0
+$EndNodes
+$Elements
+1
+1 4 2 1 1 1 1 1 1
+$EndElements
+"""
+
+
+@pytest.mark.parametrize(("name", "text"), [("grid.vtk", GRID), ("far.msh", FAR_NODE)])
+def test_numbers_in_a_mesh_take_no_memory(tmp_path, name, text):
+    """8e9 cells, and an array as long as the largest number of a node: 8 GB and more."""
+    (tmp_path / name).write_text(text)
+    limits = resource.getrlimit(resource.RLIMIT_AS)
+    with pytest.raises(DataError, match=f"{name}: cannot be read .Unable to allocate"):
+        read_mesh(tmp_path / name, 1.0)
+    assert resource.getrlimit(resource.RLIMIT_AS) == limits
 
 
 def test_cells_of_nodes_that_are_not_there_are_named(tmp_path):

@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import glob
 import itertools
+import resource
 import struct
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -52,6 +54,7 @@ _UNREADABLE = (  # what the readers of meshio raise on broken files
     *(NameError, OSError, RuntimeError, SyntaxError, SystemExit, TypeError, ValueError),
     *(struct.error, zlib.error),
 )
+_LEAST_MEMORY, _MEMORY_PER_BYTE = 1_000_000_000, 100  # bytes that reading a file may take
 _OFF = 0.25  # lengths of an edge: how far its middle node may be off
 
 
@@ -98,7 +101,8 @@ def read_mesh(path: Path, per_metre: float, pose: Sequence[float] = ()) -> Mesh:
         raise DataError(f"--mesh {path}: unknown format, accepted: {', '.join(_FORMATS)}")
     try:
         _check_files(path)
-        read = meshio.read(path, form)
+        with _limited_memory(_LEAST_MEMORY + _MEMORY_PER_BYTE * path.stat().st_size):
+            read = meshio.read(path, form)
         points = np.asarray(read.points, dtype=np.float64) / per_metre
         solid = [(block.type, np.asarray(block.data, dtype=np.int64)) for block in read.cells]
     except ModuleNotFoundError as error:  # of some formats
@@ -170,6 +174,24 @@ def _data_of_xdmf(path: Path) -> Iterator[Path]:
             element.clear()
     except ElementTree.ParseError as error:
         raise ValueError(f"not well-formed XML: {error}") from error
+
+
+@contextmanager
+def _limited_memory(more: int) -> Iterator[None]:
+    """Let the process take so many more bytes at most; beyond it MemoryError is raised.
+
+    Readers of meshio make arrays as large as a number in the file says: up to the largest tag of
+    a node of Gmsh, or of the cells of a structured grid.
+    """
+    pages = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[0])
+    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
+    ours = pages * resource.getpagesize() + more
+    limits = [one for one in (ours, soft, hard) if one != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min(limits), hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
 
 
 def _check_nodes(path: Path, what: str, nodes: Nodes, count: int) -> None:
