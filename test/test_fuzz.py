@@ -3,6 +3,7 @@
 import io
 import json
 import random
+import re
 
 import numpy as np
 import pytest
@@ -72,12 +73,23 @@ def hostile(kind, index=0, **files):
     return Case(seed.words, {**seed.files, **other}, seed.out, seed.behind)
 
 
+def with_cell(kind, index, name, row, column, number):
+    """A table of a seed with one other number."""
+    rows = [
+        re.split("([,\t])", row) for row in seeds_of(kind)[index].files[name].decode().splitlines()
+    ]
+    rows[row][2 * column if column >= 0 else column] = number
+    return ("\n".join(map("".join, rows)) + "\n").encode()
+
+
 def with_number(kind, index, name, row, number):
     """The case of a seed whose table has one other number, in the last column."""
-    lines = seeds_of(kind)[index].files[name].decode().splitlines()
-    cells = lines[row].split(",")
-    lines[row] = ",".join([*cells[:-1], number])
-    return hostile(kind, index, **{name: "\n".join([*lines, ""]).encode()})
+    return hostile(kind, index, **{name: with_cell(kind, index, name, row, -1, number)})
+
+
+def far_cube():
+    data = cube(".stl")
+    return data[:96] + np.float32(1e38).tobytes() + data[100:]
 
 
 def arrays_of(kind, index, name, **changes):
@@ -225,16 +237,17 @@ FOUND = {  # made when they are asked for, from the seeds of a kind
     "an acceleration of 1e200 of an arm with muscles": lambda: with_number(
         "muscles", 2, "m.csv", 2, "1e200"
     ),
-    "a velocity of 1e20 that is identified": lambda: with_number(
-        "identify", 0, "h.csv", 5, "1e20"
+    "a velocity of 1e20 that is identified": lambda: hostile(
+        "identify", m_csv=with_cell("identify", 0, "m.csv", 11, 2, "1e+20")
     ),
     "a load of 1e19 in an estimate": lambda: with_number("estimate", 2, "w.csv", 8, "1e19"),
     "a marker that no scene has": lambda: hostile(
         "scale", t_yaml=b"scale: {name: a, segments: {l1: {pairs: [[A, Z]]}}}"
     ),
     "words in a table beside a motion as .csv": lambda: to_csv("predict"),
-    "a vertex of 1e38": lambda: hostile(
-        "meshes", **{"c.obj": cube(".obj").replace(b"v 0.1", b"v 1e38")}
+    "a vertex at 1e38 m": lambda: hostile("meshes", 1, c_stl=far_cube()),
+    "a moment of 1.8e308 on a force plate": lambda: hostile(
+        "inverse", 1, **{"plate.mot": with_cell("inverse", 1, "plate.mot", 10, 7, "1.79e308")}
     ),
     "a tension of 1e200": lambda: with_number("loads", 3, "f.csv", 2, "1e200"),
     "a load of 1e308": lambda: with_number("simulate", 1, "w.csv", 2, "1e308"),

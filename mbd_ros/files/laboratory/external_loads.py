@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.model.xml_tree import MarkupError, decoded, xml_tree
+from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
 from mbd_ros.files.laboratory.markers import GROUND
@@ -184,4 +185,10 @@ def _columns(
     lost = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if lost.size:
         raise DataError(f"{where}: {', '.join(names)}: no number at {table[TIME][lost[0]]:.9g} s")
+    huge = np.flatnonzero((np.abs(values) > LARGEST).any(axis=1))
+    if huge.size:
+        raise DataError(
+            f"{where}: {', '.join(names)}: at {table[TIME][huge[0]]:.9g} s beyond a size of "
+            f"{LARGEST:g}"
+        )
     return values

@@ -72,7 +72,7 @@ def _near(rng: random.Random, array: Any) -> Any:
     """The same shape and kind with one number changed a little, or the order of its axes."""
     if array.dtype.kind != "f" or not array.size:
         return array
-    changed = np.asfortranarray(array) if rng.random() < 0.3 else array.copy()
+    changed = np.array(array, order=rng.choice("FCC"))
     at = np.unravel_index(rng.randrange(array.size), array.shape)
     changed[at] = near(rng, float(changed[at]))
     return changed
@@ -88,7 +88,8 @@ def _other(rng: random.Random, array: Any) -> Any:
         changed = array.copy()
         values = (*NUMBERS, np.nan, np.inf, -np.inf)
         at = np.unravel_index(rng.randrange(array.size), array.shape)
-        changed[at] = np.array(rng.choice(values), float).astype(array.dtype)
+        with np.errstate(all="ignore"):
+            changed[at] = np.array(rng.choice(values), float).astype(array.dtype)
         return changed
     if draw < 0.6:
         try:
