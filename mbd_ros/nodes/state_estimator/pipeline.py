@@ -6,7 +6,7 @@ The messages carry states, unknown efforts, forces, deviations and innovations.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from time import perf_counter
+from time import perf_counter, thread_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,7 +59,7 @@ class EstimateMessages(NamedTuple):
 
 
 Answer = list[EstimateMessages] | Taken  # estimates that are due, or what became of the sample
-_MOST_LAG = 0.3  # s, by which answers may lag behind before late samples are left out
+_MOST_LAG = 1.0  # s of work by which answers may lag behind before late samples are left out
 _REWIND = 1.0  # s, by which wrenches are older where time begins anew
 
 
@@ -186,8 +186,8 @@ class EstimatorPipeline:
         return self._taken(stamp, values, self._newest_u, self.joints.absent)
 
     def _taken(self, stamp: int, values: Array, u: Array, velocity: Array) -> Answer:
-        began = perf_counter()
-        self._lag = max(0.0, self._lag - (began - self._ended))
+        began = thread_time()
+        self._lag = max(0.0, self._lag - (perf_counter() - self._ended))
         is_hurried = self._lag > _MOST_LAG
         if is_hurried and self.tracker is None:
             return Taken.OLD
@@ -206,8 +206,7 @@ class EstimatorPipeline:
             taken = self.tracker.take(t, values, u)
             self._debt = max(0.0, self._debt + perf_counter() - asked - advance)
         finally:
-            self._ended = perf_counter()
-            spent = self._ended - began
+            self._ended, spent = perf_counter(), thread_time() - began
             self._lag = max(0.0, self._lag + spent - min(advance, self._values.max_age))
         if taken is not Taken.USED:
             return taken
