@@ -88,8 +88,9 @@ def with_number(kind, index, name, row, number):
 
 
 def far_cube():
-    data = cube(".stl")
-    return data[:96] + np.float32(1e38).tobytes() + data[100:]
+    """A box whose ninth facet ends at infinity."""
+    data, at = cube(".stl"), 84 + 8 * 50 + 44
+    return data[:at] + np.float32(np.inf).tobytes() + data[at + 4 :]
 
 
 def arrays_of(kind, index, name, **changes):
@@ -245,7 +246,7 @@ FOUND = {  # made when they are asked for, from the seeds of a kind
         "scale", t_yaml=b"scale: {name: a, segments: {l1: {pairs: [[A, Z]]}}}"
     ),
     "words in a table beside a motion as .csv": lambda: to_csv("predict"),
-    "a vertex at 1e38 m": lambda: hostile("meshes", 1, c_stl=far_cube()),
+    "a vertex at infinity": lambda: hostile("meshes", 1, c_stl=far_cube()),
     "a moment of 1.8e308 on a force plate": lambda: hostile(
         "inverse", 1, **{"plate.mot": with_cell("inverse", 1, "plate.mot", 10, 7, "1.79e308")}
     ),
