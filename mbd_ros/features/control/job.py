@@ -19,6 +19,8 @@ from mbd_ros.motion.columns import joint_columns
 from mbd_ros.motion.recordings import Source, metadata_of, name_of
 from mbd_ros.scene.built_scene import Scene
 
+_MOST_DISTURBANCES = 100_000
+
 
 def follow(
     scene: Scene,
@@ -52,6 +54,8 @@ def follow(
         DataError: The motion lacks something, or the scene cannot be followed.
     """
     tolerated = _checked(Tolerated(position, velocity, effort))
+    if not 0 <= tube <= _MOST_DISTURBANCES:
+        raise DataError(f"tube: {tube}, accepted are 0 .. {_MOST_DISTURBANCES}")
     check_scene(scene)
     with about(name_of(motion)), watching(watch):
         found = regulated(scene, recorded(scene, motion), tolerated)

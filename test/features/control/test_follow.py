@@ -177,6 +177,8 @@ def test_the_command_writes_a_plan_and_says_its_tube(tmp_path, capsys):
     assert main([*words, "-o", str(tmp_path / "plan.csv")]) == 2
     assert main([*words, "-o", str(tmp_path / "plan.npz"), "--position", "0"]) == 2
     assert "position: 0 must be finite and > 0" in capsys.readouterr().err
+    assert main([*words[:-1], "1000000000", "-o", str(tmp_path / "plan.npz")]) == 2
+    assert "tube: 1000000000, accepted are 0 .. 100000" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
