@@ -27,7 +27,6 @@ SECONDS = 10.0  # of work: others may use the machine, too
 PATIENCE = 120.0  # s in all, for one that waits and does not work
 LONGEST = 2000  # characters of a message
 NOT_FINITE = re.compile(r"(?<![\w.])(?<!\.\. )[-+]?(nan|inf)(?![\w.]| \.\.)", re.IGNORECASE)
-_NAME = re.compile(r"name[=:] *[^ >,]*")
 CONTROL = re.compile(r"[^\n\x20-\x7e\xa0-\u2027\u202f-\u2065\u2070-\ufefe\uff00-\U0010ffff]")
 EARLIER = b"time,earlier\n0.0,1.0\n"
 
@@ -97,11 +96,12 @@ def tried(case: Case, folder: Path | None = None) -> Outcome:
         os.chdir(before)
     new = _files_of(folder) - there
     left = (name for name in new if "diverged" not in name and not _belongs(name, case.out, ended))
+    given = b"".join(case.files.values())
     is_behind = bool(case.behind and re.search(case.behind, ended.told))
     return Outcome(
         [
-            *_of_streams(ended, noise, str(inside), b"".join(case.files.values()), is_behind),
-            *(_of_result(ended.code, out) if out is not None else ()),
+            *_of_streams(ended, noise, str(inside), given, is_behind),
+            *(_of_result(ended.code, out, given) if out is not None else ()),
             *(f"left behind: {name}" for name in left),
         ],
         passed=ended.code < 2 or is_behind,
@@ -192,20 +192,26 @@ def _of_streams(
         found.append(f"control character: {around!r}")
     shown = ended.said.replace(folder, "")
     word = NOT_FINITE.search(shown)
-    named = [f"{quote}{word.group()}{quote}" for quote in "'\"" if word is not None]
-    is_name = any(name.encode() in given for name in named)
-    if ended.code == 0 and word is not None and not is_name:
+    if ended.code == 0 and word is not None and not _is_name(word, given):
         line = shown[shown.rfind("\n", 0, word.start()) + 1 :].partition("\n")[0]
         found.append(f"exit 0 with {word.group()}: {line[:150]!r}")
     return found
 
 
-def _of_result(code: int, out: Path) -> list[str]:
+def _is_name(word: re.Match[str], given: bytes) -> bool:
+    """Whether the files call something so."""
+    return any(f"{quote}{word.group()}{quote}".encode() in given for quote in "'\"")
+
+
+def _of_result(code: int, out: Path, given: bytes) -> list[str]:
     """What is wrong with a file that was there before, or with a new folder."""
     if out.name == "o":
         texts = (path for path in out.glob("*") if path.suffix in (".yaml", ".urdf", ".csv"))
-        words = {path.name: NOT_FINITE.search(_NAME.sub("", path.read_text())) for path in texts}
-        return [f"exit {code} with {word.group()} in {n}" for n, word in words.items() if word]
+        words = {path.name: NOT_FINITE.search(path.read_text()) for path in texts}
+        wrong = {
+            n: word.group() for n, word in words.items() if word and not _is_name(word, given)
+        }
+        return [f"exit {code} with {word} in {name}" for name, word in wrong.items()]
     data = out.read_bytes()
     if code == 2:
         return [] if data == EARLIER else ["exit 2, and the earlier result is replaced"]
