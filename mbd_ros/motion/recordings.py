@@ -159,7 +159,7 @@ def refuse_huge(
     for i, values in enumerate(columns):
         if values is None or values.dtype.kind != "f":
             continue
-        huge = np.isfinite(values) & (np.abs(values) > largest)
+        huge = np.isfinite(values) & (np.abs(values, dtype=np.float64) > largest)
         if huge.any():
             at = tuple(np.argwhere(huge)[0])
             name = names[at[-1]] if len(at) > 1 else names[i]

@@ -185,7 +185,7 @@ def _columns(
     lost = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if lost.size:
         raise DataError(f"{where}: {', '.join(names)}: no number at {table[TIME][lost[0]]:.9g} s")
-    huge = np.flatnonzero((np.abs(values) > LARGEST).any(axis=1))
+    huge = np.flatnonzero((np.abs(values, dtype=np.float64) > LARGEST).any(axis=1))
     if huge.size:
         raise DataError(
             f"{where}: {', '.join(names)}: at {table[TIME][huge[0]]:.9g} s beyond a size of "
