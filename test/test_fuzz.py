@@ -244,6 +244,8 @@ FOUND = {  # made when they are asked for, from the seeds of a kind
     "a velocity of 1e20 that is identified": lambda: hostile(
         "identify", m_csv=with_cell("identify", 0, "m.csv", 11, 2, "1e+20")
     ),
+    "a load of 1e16 beside a payload": lambda: with_number("payload", 1, "w.csv", 1, "1e16"),
+    "a load of 9e8 beside a payload": lambda: with_number("payload", 1, "w.csv", 1, "9e8"),
     "a load of 1e19 in an estimate": lambda: with_number("estimate", 2, "w.csv", 8, "1e19"),
     "a marker that no scene has": lambda: hostile(
         "scale", t_yaml=b"scale: {name: a, segments: {l1: {pairs: [[A, Z]]}}}"

@@ -119,6 +119,10 @@ def read(
     loads, dropped = read_loads(scene, source, wrenches)
     for reason, count in dropped.items():
         say(f"{count} wrenches left out: {reason}")
+    for name, load in loads.items():
+        names = [f"wrench {name}"] * load.wrench.shape[1]
+        where = name_of(source if wrenches is None else wrenches)
+        refuse_huge(where, names, load.wrench, largest=_LARGEST)
     motion, n = recording.motion, len(scene.couplings.independent)
     fields = motion.position, motion.velocity, motion.acceleration, motion.effort
     refuse_huge(name_of(source), motion.names, *fields, largest=_LARGEST)

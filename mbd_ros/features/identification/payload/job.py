@@ -30,6 +30,7 @@ from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 
 _SIZE = 0.05  # m: radius of gyration of a payload before anything is known of it
+_FARTHEST = 1000.0  # m: no gripper holds anything there
 _BESIDE = ("offset", "coulomb")  # what a known robot may have besides its own friction
 
 
@@ -187,6 +188,12 @@ def _body(problem: Problem, found: Learned, own: Array, B: Array) -> Array:
     centre = np.zeros(3)
     for k in range(3):
         centre[k] = float(fit.base[np.flatnonzero(own[:, k + 1] == 1.0)].sum()) / mass
+    away = float(np.linalg.norm(centre))
+    if not away < _FARTHEST:
+        raise DataError(
+            f"{problem.where}: the mass centre of what is held would be {away:.3g} m away; "
+            "motion, efforts and loads do not belong together"
+        )
     spread = 0.4 * mass * _SIZE**2
     P = mass * (centre @ centre * np.eye(3) - np.outer(centre, centre)) + spread * np.eye(3)
     tensor = [P[0, 0], P[0, 1], P[1, 1], P[0, 2], P[1, 2], P[2, 2]]
