@@ -2,8 +2,9 @@
 
 import os
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import NamedTuple
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
@@ -11,26 +12,50 @@ from rclpy.signals import SignalHandlerOptions
 from mbd_ros.jobs.domain_claim import claimed_domain
 
 
-@contextmanager
-def isolated_domain() -> Iterator[dict[str, str]]:
-    """Environment of processes on a DDS domain that this one has joined, on this machine only.
+class IsolatedDomain(NamedTuple):
+    """A domain that this process has joined.
 
-    SIGTERM raises KeyboardInterrupt, as Ctrl-C does.
+    Attributes:
+        environment: Of processes that join it, too.
+        check: Raises KeyboardInterrupt after Ctrl-C or SIGTERM; to be called often.
+    """
+
+    environment: dict[str, str]
+    check: Callable[[], None]
+
+
+@contextmanager
+def isolated_domain() -> Iterator[IsolatedDomain]:
+    """Join a DDS domain that no other program uses, on this machine only.
+
+    Ctrl-C and SIGTERM take effect in `check`, or else at the end of the `with` block: an exception
+    that a signal raises inside of rclpy, which calls Python from C, crashes the process.
 
     Raises:
         NoDomainError: All domains are taken.
     """
     before = os.environ.get("ROS_AUTOMATIC_DISCOVERY_RANGE")
+    signals: list[int] = []
+
+    def check() -> None:
+        if signals:
+            raise KeyboardInterrupt
+
     with claimed_domain() as domain:
         os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
         # rclpy's own handlers shut down the context in the middle of whatever runs.
         rclpy.init(args=[], domain_id=domain, signal_handler_options=SignalHandlerOptions.NO)
-        on_terminate = signal.signal(signal.SIGTERM, signal.default_int_handler)
+        handlers = {
+            number: signal.signal(number, lambda number, _: signals.append(number))
+            for number in (signal.SIGINT, signal.SIGTERM)
+        }
         try:
-            yield {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+            yield IsolatedDomain({**os.environ, "ROS_DOMAIN_ID": str(domain)}, check)
+            check()
         finally:
-            signal.signal(signal.SIGTERM, on_terminate)
             rclpy.try_shutdown()
+            for number, handler in handlers.items():
+                signal.signal(number, handler)
             if before is None:
                 del os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"]
             else:

@@ -34,6 +34,8 @@ def pytest_configure(config):
     name = _of_worker(config.workerinput) if hasattr(config, "workerinput") else f"{os.getpid()}"
     config.stash[_stack] = (FOLDER / f"pytest-{name}.txt").open("w")
     faulthandler.enable(config.stash[_stack])
+    # An executor of rclpy turns it to stderr, which is captured and lost with the process.
+    faulthandler.enable = lambda *_, **__: None
 
 
 def pytest_unconfigure(config):

@@ -48,7 +48,7 @@ CLASSES = {
     "rosgraph_msgs/msg/Clock": Clock,
 }
 _EVERYTHING = QoSProfile(history=HistoryPolicy.KEEP_ALL)
-_PATIENCE = 0.05  # [s] that a signal waits at most: an executor does not wake up for one
+_PATIENCE = 0.05  # s that a signal waits at most
 _PERIOD = 0.01  # s between looks at what came; the readers keep it until then
 _DEADLINE = 30.0  # s, of what takes a moment: a busy machine is no failure
 _AGAIN = 1.0  # s until a request without an answer is sent again
@@ -68,10 +68,15 @@ def record_loop(run: LoopRun, bag: Path) -> None:
     commands = _commands(run)
     with (
         BagWriter(bag) as writer,
-        isolated_domain() as environment,
-        running(commands, environment, run.folder) as processes,
+        isolated_domain() as domain,
+        running(commands, domain.environment, run.folder) as processes,
     ):
-        recorder = Recorder(recorded, processes.check, len(commands))
+
+        def check() -> None:
+            domain.check()  # first: Ctrl-C ends the nodes, too
+            processes.check()
+
+        recorder = Recorder(recorded, check, len(commands))
         try:
             _Lead(run, recorder).through()
         finally:
@@ -259,7 +264,7 @@ class Recorder:
 
     Args:
         topics: Name -> type; DIAGNOSTICS must be among them.
-        check: Raises if waiting has become useless; called often.
+        check: Raises if waiting has become useless; called often, but not within rclpy.
         nodes: How many nodes are recorded: each publishes DIAGNOSTICS, and one any other topic.
 
     Attributes:
@@ -356,6 +361,7 @@ class Recorder:
     def close(self) -> None:
         """Leave the graph."""
         self._executor.remove_node(self.node)
+        self._executor.shutdown()
         self.node.destroy_node()
         self._reader.destroy_node()
 

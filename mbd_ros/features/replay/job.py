@@ -53,7 +53,7 @@ CLASSES = {JOINT_STATE: JointState, WRENCH: WrenchStamped, ODOMETRY: Odometry}
 _START_TIMEOUT = 30.0  # [s] until the node must be active
 _ANSWER_TIMEOUT = 2.0  # [s] without an answer, after which joint states count as lost
 _IN_FLIGHT = 100  # joint states; the node's queue is deeper
-_PATIENCE = 0.05  # [s] that a signal waits at most: an executor does not wake up for one
+_PATIENCE = 0.05  # s that a signal waits at most
 _CLOCK_PERIOD = 10_000_000  # ns of the bag
 _DEEP = QoSProfile(depth=1000)  # nothing is lost in queues
 UNIT = "N·m or N"
@@ -132,11 +132,11 @@ def play(replay: Replay) -> tuple[int, int]:
     ]
     answers = (TORQUES, CONSTRAINT_FORCES) if scene.couplings.dependent else (TORQUES,)
     with (
-        isolated_domain() as environment,
         BagWriter(replay.out) as bag,
-        _node_process(replay, environment, remapped) as process,
+        isolated_domain() as domain,
+        _node_process(replay, domain.environment, remapped) as process,
     ):
-        player = BagPlayer(topics, answers, bag, process)
+        player = BagPlayer(topics, answers, bag, process, domain.check)
         player.wait_for_node()
         player.play(messages, next(iter(topics)), replay.rate)
         return player.played, player.answered
@@ -348,6 +348,8 @@ class BagPlayer:
         topics: Topics to publish, each with its type.
         answers: Topics that the node answers every joint state on.
         bag: Where the answers go.
+        process: The node.
+        check: Raises if the replay is to end; called often.
 
     Attributes:
         played: Joint states published.
@@ -359,8 +361,9 @@ class BagPlayer:
         answers: Sequence[str],
         bag: BagWriter,
         process: subprocess.Popen[bytes],
+        check: Callable[[], None],
     ) -> None:
-        self.played = self._lost = 0
+        self.played, self._lost, self._check = 0, 0, check
         self._answers, self._bag, self._process = dict.fromkeys(answers, 0), bag, process
         self._state = self._health = ""
         node = rclpy.create_node("mbd_ros_replay")
@@ -434,6 +437,7 @@ class BagPlayer:
                 raise ReplayError(f"{topic}: another program publishes it on the same DDS domain")
 
     def _check_node(self) -> None:
+        self._check()  # first: Ctrl-C ends the node, too
         self._check_alone()
         code = self._process.poll()
         if code is not None or self._state != "active":
@@ -467,6 +471,7 @@ class BagPlayer:
             self._spin(min(left, _PATIENCE))
 
     def _spin(self, timeout: float) -> None:
+        self._check()
         self._executor.spin_once(timeout_sec=timeout)
 
     def _recorder(self, topic: str) -> Any:
