@@ -19,12 +19,12 @@ PASSES = "def test_passes():\n    pass\n"
 def planted(tmp_path, monkeypatch):
     """Steps, each of one file of tests, with the conftest of crashes."""
 
-    def plant(**files):
+    def plant(*options, **files):
         (tmp_path / "conftest.py").write_text("from crashes import *\n")
         words = {}
         for name, text in files.items():
             (tmp_path / f"test_{name}.py").write_text(text)
-            words[name] = ("-q", "-n", "1", "-p", "no:cacheprovider", f"{tmp_path}/test_{name}.py")
+            words[name] = ("-q", "-p", "no:cacheprovider", f"{tmp_path}/test_{name}.py", *options)
         monkeypatch.setattr(steps, "STEPS", words)
         monkeypatch.setattr(steps, "RESULTS", tmp_path / "results")
         monkeypatch.setenv("PYTHONPATH", str(ROOT / "test/support"))
@@ -33,32 +33,28 @@ def planted(tmp_path, monkeypatch):
 
 
 def test_later_steps_run_after_a_failure_and_all_stand_in_the_table(planted, capfd):
-    planted(first=FAILS, second=SKIPPED, third=PASSES)
+    planted(first=FAILS, second=SKIPPED, nothing="", last=PASSES)
     assert steps.main() == 1
     table = capfd.readouterr().out.partition("minutes\n")[2].splitlines()
-    counts = {line.split()[0]: line.split()[1:4] for line in table[:3]}
+    counts = {line.split()[0]: line.split()[1:4] for line in table[:4]}
     assert counts == {
         "first": ["1", "1", "0"],
         "second": ["0", "0", "1"],
-        "third": ["1", "0", "0"],
+        "nothing": ["0", "1", "0"],
+        "last": ["1", "0", "0"],
     }
-    assert table[3].startswith("failed, first: ") and table[3].endswith("::test_fails")
-    assert table[4] == "skipped, second: 1 x no compiler here"
-
-
-def test_a_step_without_tests_has_failed(planted, capfd):
-    planted(nothing="", third=PASSES)
-    assert steps.main() == 1
-    assert "failed, nothing: pytest ended with exit code 5" in capfd.readouterr().out
+    assert table[4].startswith("failed, first: ") and table[4].endswith("::test_fails")
+    assert table[5] == "failed, nothing: pytest ended with exit code 5"
+    assert table[6] == "skipped, second: 1 x no compiler here"
 
 
 def test_steps_that_pass_give_exit_code_0(planted):
-    planted(third=PASSES)
+    planted(last=PASSES)
     assert steps.main() == 0
 
 
 def test_a_worker_that_dies_leaves_its_stack(planted, capfd):
-    planted(crash=CRASH)
+    planted("-n", "1", crash=CRASH)
     assert steps.main() == 1
     said = capfd.readouterr().out
     path = next(line for line in said.splitlines() if str(crashes.FOLDER) in line).rstrip(":")
@@ -84,6 +80,7 @@ def test_a_node_that_dies_leaves_its_stack_and_its_log(monkeypatch):
 
 def test_skips_are_counted_by_their_reason(tmp_path):
     results = tmp_path / "r.xml"
-    case = '<testcase classname="a" name="b"><skipped message="{}"/></testcase>'
-    results.write_text(f"<r>{case.format('x') * 2}{case.format('y')}</r>")
-    assert steps.read(results) == (0, (), Counter(x=2, y=1))
+    case = '<testcase classname="a" name="b"><skipped message="{}">{}</skipped></testcase>'
+    of_file = case.format("collection skipped", "('/a/test_b.py', 12, 'Skipped: no torch')")
+    results.write_text(f"<r>{case.format('x', '') * 2}{case.format('y', '')}{of_file}</r>")
+    assert steps.read(results) == (0, (), Counter({"x": 2, "y": 1, "no torch": 1}))

@@ -19,6 +19,7 @@ from mbd_ros.methods.simulation.live_simulation import LiveSimulation
 from mbd_ros.methods.simulation.safe_command import CommandWatch
 
 SCENES = sorted(path.stem for path in (ROOT / "config/scenes").glob("*.yaml"))
+SLOW = ("block_on_incline", "muscle_leg")  # whose C takes the compiler long
 SMOOTH = {  # neither stops, dry friction nor contacts
     *("arm7", "empty", "four_bar_leg", "free_flyer"),
     *("prosthetic_arm", "prosthetic_leg", "prosthetic_leg_stance"),
@@ -41,7 +42,9 @@ def table(path):
     return dict(zip(read.columns, read.values.T, strict=True))
 
 
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize(
+    "scene", [pytest.param(s, marks=pytest.mark.soak) if s in SLOW else s for s in SCENES]
+)
 def test_embedded_scenes_give_the_samples_of_the_plain_tier(scene, tmp_path, capsys):
     """Or say why they are those of the plain tier."""
     out = {kind: tmp_path / f"{kind}.csv" for kind in ("auto", "plain")}

@@ -36,6 +36,7 @@ def test_a_changed_number_is_seen_and_nothing_else(tmp_path):
     assert {line.partition(":")[0] for line in found["different"]} == {"loads"}
 
 
+@pytest.mark.soak
 def test_a_module_that_is_imported_in_addition_is_seen(tmp_path):
     """A clone whose command line imports more modules, foreign ones too."""
     clone = tmp_path / "clone"

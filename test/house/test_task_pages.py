@@ -198,4 +198,4 @@ def test_lines_for_pip_name_what_setup_names():
 def test_the_readme_tests_as_continuous_integration_does():
     readme = lines_of([ROOT / "README.md"], "make ")
     assert "make test" in readme
-    assert "exec make lint test" in (ROOT / ".ci/run").read_text(encoding="utf-8")
+    assert "exec make --keep-going lint test" in (ROOT / ".ci/run").read_text(encoding="utf-8")

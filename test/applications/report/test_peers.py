@@ -418,6 +418,7 @@ def test_drake_closes_loops_on_the_world():
 
 
 @needs_mujoco
+@pytest.mark.soak
 def test_a_report_of_peers_compares_the_scene_of_a_user_or_fails(tmp_path, capsys):
     """One that peers can express, one that they cannot."""
     from mbd_ros.cli import main

@@ -52,6 +52,7 @@ def test_a_second_run_does_nothing_and_says_the_same(tmp_path):
     assert numbers(out) == first
 
 
+@pytest.mark.soak
 def test_another_spec_or_program_reuses_nothing(tmp_path, monkeypatch):
     out, scene = tmp_path / "out", pendulum(tmp_path / "s.yaml")
     text, robot = scene.read_text(encoding="utf-8"), tmp_path / "r.urdf"

@@ -36,6 +36,7 @@ def outcome(folder):
     return loaded["sections"], [(i["name"], i["outcome"]) for i in loaded["items"]]
 
 
+@pytest.mark.soak
 def test_one_worker_killed_during_the_sweep_changes_nothing(tmp_path, cluster):
     killed = []
 

@@ -17,7 +17,9 @@ def fake(monkeypatch, tmp_path):
     use_fake(monkeypatch, tmp_path)
 
 
-@pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGINT])
+@pytest.mark.parametrize(
+    "how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.soak)]
+)
 def test_killed_halfway_the_rest_is_done_later(tmp_path, how):
     """The whole process group, as a closed terminal or Ctrl-C would."""
     out, log = tmp_path / "out", tmp_path / "log"

@@ -118,6 +118,7 @@ def _closures(name):
 # ---------------------------------------------------------------------- motions
 
 
+@pytest.mark.soak
 def test_a_hundred_disturbances_within_the_tube_return_to_the_plan():
     """By equations of the cart-pole written by hand, inputs held for 4 ms."""
     plan, rng = followed(), np.random.default_rng(3)

@@ -73,6 +73,7 @@ def test_alarms_come_with_shifts_and_end_with_them():
     assert cusum.alarms() == {"b": "off by 12 deviations"}
 
 
+@pytest.mark.soak
 def test_the_demo_names_the_faults_that_are_planted(tmp_path, capsys):
     assert main(["demo", "twin", "-o", str(tmp_path / "out")]) == 0
     said = capsys.readouterr().out

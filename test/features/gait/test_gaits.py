@@ -89,6 +89,7 @@ def test_the_simplest_walker_as_a_mechanism(name):
     assert bool(result["gaits"]["stable"][0]) == name.startswith("long")
 
 
+@pytest.mark.soak
 def test_round_feet_roll_as_plain_equations_do():
     """Against equations and angular momenta written down for this walker alone."""
     plain = round_foot_walker()
@@ -121,6 +122,7 @@ def test_a_walker_with_knees_walks_as_published():
     assert np.abs(result["samples"]["left_knee.position"]).max() < 1e-9
 
 
+@pytest.mark.soak
 def test_a_push_off_walks_on_the_level():
     """Ankle and hip give over a cycle what the strikes take; their memory is part of the gait."""
     scene = mbd.load_scene("level_walker")

@@ -10,7 +10,7 @@ SCENES = ROOT / "config/scenes"
 
 
 @pytest.mark.parametrize("seconds", [1.0, pytest.param(2.0, marks=pytest.mark.soak)])
-@pytest.mark.parametrize("rate", [20.0, 50.0])
+@pytest.mark.parametrize("rate", [20.0, pytest.param(50.0, marks=pytest.mark.soak)])
 @pytest.mark.parametrize("name", ["arm", "arm7", "four_bar", "leg"])
 def test_a_slow_and_clipped_loop_stays_at_the_stops(name, rate, seconds):
     """A stiff law with clipped torques; without stops joints went 0.9 to 38 rad beyond."""
