@@ -29,7 +29,7 @@ venv: .venv/installed
 .venv/pinned: requirements/pins.txt $(OTHER_PYTHON)
 	@$(FIND_PYTHON); rm -rf .venv; "$$python" -m venv .venv || { rm -rf .venv; \
 	echo "$$python has no working venv module: install python3-venv" >&2; exit 1; }
-	$(BIN)/python -m pip install --quiet --use-pep517 -r requirements/pins.txt
+	$(BIN)/python -m pip install --quiet --use-pep517 --no-compile -r requirements/pins.txt
 	@touch $@
 
 .venv/installed: .venv/pinned setup.py setup.cfg pyproject.toml
@@ -74,14 +74,14 @@ format: venv
 	$(BIN)/ruff format .
 
 .venv/report: requirements/report.txt .venv/installed
-	$(BIN)/python -m pip install --quiet -r requirements/report.txt
+	$(BIN)/python -m pip install --quiet --no-compile -r requirements/report.txt
 	@touch $@
 
 report: venv .venv/report
 	$(BIN)/mbd-ros report -o report_out
 
 .venv/docs: requirements/docs.txt .venv/report
-	$(BIN)/python -m pip install --quiet -r requirements/docs.txt
+	$(BIN)/python -m pip install --quiet --no-compile -r requirements/docs.txt
 	@touch $@
 
 docs: venv .venv/docs
