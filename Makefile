@@ -10,6 +10,10 @@ SHOW_VERSION := import sys; print(sys.version_info[:2])
 
 NODES = $(shell $(BIN)/python -c 'from mbd_ros.nodes.table import NODES; print(*NODES)')
 
+# uv takes seconds where pip takes a minute; pip takes over where uv cannot, as behind a mirror that only pip is told of.
+install = $(BIN)/uv pip install --quiet --link-mode copy --python $(BIN)/python -r $(1) 2>/dev/null || \
+	$(BIN)/python -m pip install --quiet --use-pep517 -r $(1)
+
 # The loop takes the first that really runs: a pyenv shim exists and fails.
 FIND_PYTHON = for python in $(or $(PYTHON),python3 python3.13 python3.12 python3.11 python3.10); do \
 	"$$python" -c '$(SUPPORTED)' 2>/dev/null && break; python=; done; \
@@ -29,7 +33,8 @@ venv: .venv/installed
 .venv/pinned: requirements/pins.txt $(OTHER_PYTHON)
 	@$(FIND_PYTHON); rm -rf .venv; "$$python" -m venv .venv || { rm -rf .venv; \
 	echo "$$python has no working venv module: install python3-venv" >&2; exit 1; }
-	$(BIN)/python -m pip install --quiet --use-pep517 --no-compile -r requirements/pins.txt
+	$(BIN)/python -m pip install --quiet "$$(grep '^uv==' requirements/pins.txt)"
+	$(call install,requirements/pins.txt)
 	@touch $@
 
 .venv/installed: .venv/pinned setup.py setup.cfg pyproject.toml
@@ -74,14 +79,14 @@ format: venv
 	$(BIN)/ruff format .
 
 .venv/report: requirements/report.txt .venv/installed
-	$(BIN)/python -m pip install --quiet --no-compile -r requirements/report.txt
+	$(call install,requirements/report.txt)
 	@touch $@
 
 report: venv .venv/report
 	$(BIN)/mbd-ros report -o report_out
 
 .venv/docs: requirements/docs.txt .venv/report
-	$(BIN)/python -m pip install --quiet --no-compile -r requirements/docs.txt
+	$(call install,requirements/docs.txt)
 	@touch $@
 
 docs: venv .venv/docs

@@ -83,6 +83,7 @@ setup(
             "ruff",
             "setuptools",
             "types-PyYAML",
+            "uv",
             "viser",
         ],
     },

@@ -172,7 +172,9 @@ def violations(path, source):
         rows += [
             (n.lineno, f"{ast.unparse(n)} touches the world")
             for n in ast.walk(tree)
-            if isinstance(n, ast.Call) and ast.unparse(n.func) in ("open", "print", "input")
+            if isinstance(n, ast.Call)
+            and isinstance(n.func, ast.Name)
+            and n.func.id in ("open", "print", "input")
         ]
         rows += [(n.lineno, "global state") for n in ast.walk(tree) if isinstance(n, ast.Global)]
     return [f"{path}:{line} {what}" for line, what in sorted(rows)]

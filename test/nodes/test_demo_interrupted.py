@@ -62,7 +62,7 @@ def interrupted(tmp_path, act):
     return code, said
 
 
-@pytest.mark.parametrize("how", ["terminal", "terminate"])
+@pytest.mark.parametrize("how", ["terminal", pytest.param("terminate", marks=pytest.mark.soak)])
 def test_a_signal_leaves_neither_folder_nor_process(tmp_path, how):
     """A terminal sends Ctrl-C to the nodes as well; `kill` only to the command."""
 

@@ -168,7 +168,7 @@ def test_dropped_messages_leave_nothing_but_their_count(domain, tmp_path, name):
         assert target.exchange() == alone
 
 
-@pytest.mark.parametrize("name", ["sliding_arm", "qp_arm"])
+@pytest.mark.parametrize("name", [pytest.param("sliding_arm", marks=pytest.mark.soak), "qp_arm"])
 def test_a_trajectory_of_too_many_points_is_refused_unread(domain, tmp_path, name):
     with under_fire(name, domain, tmp_path) as target:
         target.reset()

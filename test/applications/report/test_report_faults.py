@@ -91,6 +91,7 @@ def test_an_item_that_fails_is_wrong_and_tried_again_later(
     assert set(ran(tmp_path)[before:]) == {3}
 
 
+@pytest.mark.soak
 def test_a_worker_lost_once_costs_nothing(tmp_path, monkeypatch):
     assert report("-o", tmp_path / "whole") == 0
     monkeypatch.setenv("FAKE_FAULT", "once")

@@ -323,7 +323,7 @@ def at(motion, q, v):
     return float(box.lower[0]), float(box.upper[0])
 
 
-@pytest.mark.parametrize("side", [1.0, -1.0])
+@pytest.mark.parametrize("side", [pytest.param(1.0, marks=pytest.mark.soak), -1.0])
 def test_held_exactly_no_limit_is_passed_and_no_braking_exceeds_its_value(side):
     """Always the largest (smallest) acceleration, and random ones, from everywhere within."""
     rng, motion = np.random.default_rng(0), limits()

@@ -121,6 +121,7 @@ def test_gains_of_currents_are_found_where_something_fixes_the_scale(fixed_by):
     assert found.errors["identified"] < 5e-3
 
 
+@pytest.mark.soak
 def test_gains_of_motors_that_two_joints_turn_are_found_with_a_load():
     bare, true, _ = wrist(WAYS["behind bevel gears"][0], True)
     U = np.eye(7)
@@ -138,6 +139,7 @@ def test_gains_of_motors_that_two_joints_turn_are_found_with_a_load():
     assert found.errors["identified"] < 5e-3
 
 
+@pytest.mark.soak
 def test_a_known_load_is_no_part_of_the_robot():
     """Torques with and without a load of 3 kg that is said: bodies are those without it."""
     bare, t = scene_from({}, urdf="arm7"), np.arange(0.0, 12.0, 0.01)

@@ -67,7 +67,9 @@ def sampled(scene="particles/trimer", **task):
 LANGEVIN = {"method": "langevin", "steps": 10, "dt": 0.05}
 
 
-@pytest.mark.parametrize(("options", "fixman"), [({}, False), (LANGEVIN, True)])
+@pytest.mark.parametrize(
+    ("options", "fixman"), [pytest.param({}, False, marks=pytest.mark.soak), (LANGEVIN, True)]
+)
 def test_two_rigid_bonds_and_two_stiff_ones(options, fixman):
     """Two ensembles that differ by 0.012 in <c^2>."""
     chi, rigid, stiff, n = judged(sampled(samples=90, warmup=40, fixman=fixman, **options))

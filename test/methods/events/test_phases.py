@@ -122,7 +122,7 @@ def test_spokes_that_strike_one_after_the_other_roll_as_one_that_is_relabelled()
     np.testing.assert_array_equal(events["phase.after"], [1, 2, 3, 4, 5])
 
 
-@pytest.mark.parametrize("kind", ["rk4", "adams", "dop853"])
+@pytest.mark.parametrize("kind", ["rk4", pytest.param("adams", marks=pytest.mark.soak), "dop853"])
 def test_checkpoint_in_any_phase_goes_on_with_the_same_bits(kind):
     """Just before and after a strike, in a simulation that walked already."""
     scene = mbd.load_scene("simplest_walker").with_(integrator={"type": kind}, dt=0.02)

@@ -208,7 +208,7 @@ def test_limit_has_the_tracking_error_of_its_surface(limit, name):
 
 
 @pytest.mark.parametrize(("name", "steps"), [("pendulum", 5), ("arm", 4)])
-@pytest.mark.parametrize("layers", [0.0, 1.0])
+@pytest.mark.parametrize("layers", [pytest.param(0.0, marks=pytest.mark.soak), 1.0])
 def test_sampled_law_converges_to_the_limit(plant, limit, name, steps, layers):
     """dt -> 0 without a boundary layer, and with phi = K dt -> 0.
 

@@ -55,6 +55,7 @@ def test_the_named_way_out_of_chattering_works(capsys, tmp_path):
     assert "stalled" not in capsys.readouterr().err
 
 
+@pytest.mark.soak
 def test_a_stiff_run_that_gets_to_its_end_is_left_alone(capsys, tmp_path):
     """A rate of 3e4 1/s: short steps all the way, and more of them than a few looks."""
     scene = written(tmp_path, STIFF)
