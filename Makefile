@@ -11,7 +11,7 @@ SHOW_VERSION := import sys; print(sys.version_info[:2])
 NODES = $(shell $(BIN)/python -c 'from mbd_ros.nodes.table import NODES; print(*NODES)')
 
 # uv takes seconds where pip takes a minute; pip takes over where uv cannot, as behind a mirror that only pip is told of.
-install = $(BIN)/uv pip install --quiet --link-mode copy --python $(BIN)/python -r $(1) 2>/dev/null || \
+install = $(BIN)/uv pip install --quiet --compile-bytecode --link-mode copy --python $(BIN)/python -r $(1) 2>/dev/null || \
 	$(BIN)/python -m pip install --quiet --use-pep517 -r $(1)
 
 # The loop takes the first that really runs: a pyenv shim exists and fails.

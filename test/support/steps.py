@@ -4,6 +4,7 @@ A step is one run of pytest. Its result is read from the JUnit file that pytest 
 ends without one, or with an exit code that its tests do not explain, has failed as well.
 """
 
+import os
 import subprocess
 import sys
 import time
@@ -42,7 +43,9 @@ def run(step: str, words: tuple[str, ...]) -> Outcome:
     sys.stdout.flush()
     begin = time.monotonic()
     command = (sys.executable, "-m", "pytest", f"--junitxml={results}", *words)
-    code = subprocess.run(command, cwd=ROOT, check=False).returncode
+    # Else each of some thousand processes compiles the same modules.
+    environment = {k: v for k, v in os.environ.items() if k != "PYTHONDONTWRITEBYTECODE"}
+    code = subprocess.run(command, cwd=ROOT, env=environment, check=False).returncode
     minutes = (time.monotonic() - begin) / 60.0
     passed, failed, skipped = read(results)
     if code and not failed:
