@@ -81,6 +81,8 @@ def test_a_node_that_dies_leaves_its_stack_and_its_log(monkeypatch):
 def test_skips_are_counted_by_their_reason(tmp_path):
     results = tmp_path / "r.xml"
     case = '<testcase classname="a" name="b"><skipped message="{}">{}</skipped></testcase>'
-    of_file = case.format("collection skipped", "('/a/test_b.py', 12, 'Skipped: no torch')")
+    of_file = case.format(
+        "collection skipped", "('/a/test_b.py', 12, 'Skipped: no torch (extra)')"
+    )
     results.write_text(f"<r>{case.format('x', '') * 2}{case.format('y', '')}{of_file}</r>")
-    assert steps.read(results) == (0, (), Counter({"x": 2, "y": 1, "no torch": 1}))
+    assert steps.read(results) == (0, (), Counter({"x": 2, "y": 1, "no torch (extra)": 1}))

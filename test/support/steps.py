@@ -72,7 +72,7 @@ def read(results: Path) -> tuple[int, tuple[str, ...], Counter[str]]:
 
 def _why(skipped: ElementTree.Element) -> str:
     """The reason of a skip; that of a whole file stands in the text, behind its place."""
-    whole_file = (skipped.text or "").rpartition("Skipped: ")[2].rstrip("')\"")
+    whole_file = (skipped.text or "").rpartition("Skipped: ")[2][:-2]
     is_file = skipped.get("message") == "collection skipped"
     return whole_file if is_file else skipped.get("message", "")
 
