@@ -103,7 +103,7 @@ class StateEstimatorNode(Shell):
         try:
             answer = ask()
         except (SolveError, DivergedError) as error:
-            self._pipeline.begin_anew()
+            self._pipeline.restart()
             self._stream.drop_unsolved(error)
             return None
         self._stream.failures = 0

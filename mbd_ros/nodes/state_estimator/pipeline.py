@@ -129,7 +129,7 @@ class EstimatorPipeline:
         for buffer in self.wrenches.values():
             buffer.clear()
 
-    def begin_anew(self) -> None:
+    def restart(self) -> None:
         """Forget the past after an error, but not how far answers lag behind the samples."""
         lag = self._lag
         self.forget()
