@@ -41,10 +41,26 @@ def own_limits(tree, sleeps_are_waits):
             values += [] if called(node) == "run" else node.args
             if any(map(is_number, values)):
                 yield node.lineno, "a time-out in seconds"
+        elif isinstance(node, ast.Assert) and sleeps_are_waits and reads_log(node.test):
+            yield node.lineno, "a log that may be incomplete"
+
+
+def reads_log(test):
+    """Return whether an assertion needs lines of a node's log, which may come after its answer."""
+    match test:
+        case ast.Compare(ops=[ast.In()], comparators=[ast.Attribute(attr="log")]):
+            return True
+        case ast.Compare(
+            left=ast.Call(func=ast.Attribute(ast.Attribute(attr="log"), "count")),
+            ops=[ast.Eq()],
+            comparators=[ast.Constant()],
+        ):
+            return True
+    return False
 
 
 def test_no_test_has_a_time_out_of_its_own():
-    """A quick machine would not notice, a busy one would be red."""
+    """A quick machine would not notice, and a busy one would be red."""
     wrong = {
         f"{file}:{line}": what
         for file in FILES
@@ -63,6 +79,8 @@ def test_no_test_has_a_time_out_of_its_own():
         ("subprocess.run(words, timeout=60)", "a time-out in seconds"),
         ("node.wait(10)", "a time-out in seconds"),
         ("probe.spin_until(done, timeout=3.0)", "a time-out in seconds"),
+        ("assert 'refused' in node.log", "a log that may be incomplete"),
+        ("assert node.log.count('refused') == 1", "a log that may be incomplete"),
     ],
 )
 def test_what_is_refused(text, wrong):

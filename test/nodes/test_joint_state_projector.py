@@ -396,7 +396,7 @@ def test_4_more_joints_are_ignored_and_listed_once(leg):
         np.testing.assert_allclose(state.position, q, rtol=0, atol=1e-12)
     health = leg.probe.wait_health(lambda h: True)
     assert health.values["joints ignored"] == "camera"
-    assert leg.node.log.count("joints ignored: camera") == 1
+    assert leg.node.count_logged("joints ignored: camera") == 1
 
 
 def test_5_what_nothing_determines_is_held_and_then_the_output_stops(leg):

@@ -35,7 +35,7 @@ def test_ticks_are_the_samples_of_offline_runs(domain, tmp_path, impacts):
             client.command(command)
             sample = client.step()
             live.append((sample.position, sample.velocity))
-        assert "compiling" in client.node.log
+        client.node.wait_for("compiling")
     (plain, events), (compiled, same) = (offline(path, kind) for kind in ("plain", "compiled"))
     assert (events, same) == (impacts, impacts)
     assert np.abs(live - plain).max() < 1e-9

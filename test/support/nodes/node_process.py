@@ -72,9 +72,18 @@ class NodeProcess:
         """
         end = time.monotonic() + DEADLINE
         while text not in self.log:
-            alive = self.process.poll() is None and time.monotonic() < end
-            assert alive or text in self.log, f"never logged {text!r}:\n{self.log}"
-            time.sleep(0.01)
+            if self.process.poll() is not None:
+                self._reader.join(DEADLINE)
+                end = 0.0
+            elif time.monotonic() < end:
+                time.sleep(0.01)
+                continue
+            assert text in self.log, f"never logged {text!r}:\n{self.log}"
+
+    def count_logged(self, text: str) -> int:
+        """Return how often `text` was logged, after waiting for the first time."""
+        self.wait_for(text)
+        return self.log.count(text)
 
     def wait(self) -> int:
         """Exit code, once the process has ended by itself.
