@@ -202,6 +202,7 @@ def test_a_four_bar_with_super_twisting(four_bar):
     assert_follows(four_bar[0], 0.5)
 
 
+@pytest.mark.soak
 def test_a_leg_with_qp_tracking(tmp_path):
     text = demo("leg", "--time", 2, "--controller", "qp_tracking", "-o", tmp_path / "out")
     assert_follows(text, 300.0)

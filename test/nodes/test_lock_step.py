@@ -129,11 +129,12 @@ class LossyLoop:
 
 
 @pytest.mark.alone
+@pytest.mark.soak
 @pytest.mark.parametrize(
     ("seconds", "controller_every", "simulator_every"),
     [
-        pytest.param(15.0, 5.0, 10.0),
-        pytest.param(HOUR, 30.0, 120.0, marks=pytest.mark.soak),
+        (15.0, 5.0, 10.0),
+        (HOUR, 30.0, 120.0),
     ],
 )
 def test_lock_step_with_losses_restarts_and_kills(

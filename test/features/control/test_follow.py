@@ -228,6 +228,7 @@ def followed_step():
     return scene, step, read_plan(scene.follow(step))
 
 
+@pytest.mark.soak
 def test_the_tube_of_a_step_is_as_wide_as_it_is_said():
     _, _, plan = followed_step()
     ways = np.random.default_rng(0).normal(size=(1000, 10))

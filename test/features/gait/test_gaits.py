@@ -144,6 +144,7 @@ gait:
 """
 
 
+@pytest.mark.soak  # the page on gaits runs such a task, too
 def test_a_task_gives_gaits_branches_and_a_basin_in_files(tmp_path, capsys):
     (tmp_path / "walk.yaml").write_text(TASK, encoding="utf-8")
     places = [str(tmp_path / name) for name in ("walk.yaml", "out.csv", "out.html")]
