@@ -331,6 +331,11 @@ class Spread:
         """Of base parameters, then friction of each row, shape (r + f, r + f)."""
         r, n = self._r, sum(map(len, self._taken))
         A, S, at = np.zeros((r + n, r + n)), np.zeros((r + n, r + n)), r
+        if not (np.square(np.square(fit.deviation)) > 0.0).all():
+            raise SolveError(
+                "a joint has no deviation: its torques are all 0, or it always rests beside its "
+                "largest velocity; leave this joint out, or mend its columns"
+            )
         for own, sigma, plain, sums in zip(
             self._taken, fit.deviation, self._plain, self._sums, strict=True
         ):

@@ -115,7 +115,7 @@ class LoopMotion:
             q[self._q[kept]] = start + (end - start) * (i / strides)
             q = self._closed(x.t, q, free)
         J = self._held.jacobian(x.t, q)
-        condition = float(np.linalg.cond(J[:, free])) if len(free) else 1.0
+        condition = float(np.linalg.cond(J[:, free])) if J[:, free].size else 1.0
         v, a = np.where(measured, x.v, 0.0), np.where(measured, a, 0.0)
         v[free] = -_least(J[:, free], J.dot(v) + self._held.rate(x.t, q))
         x = State(x.t, q, v)
