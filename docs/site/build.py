@@ -32,6 +32,7 @@ OF_PROJECT = ("CONTRIBUTING", "CHANGELOG")
 _HEADING = re.compile(r"^## (.+)$", re.MULTILINE)
 _PAGE = re.compile(r"\]\((\w+)\.md\)")
 _NAMED_BY_FILE = re.compile(r"\[(?:docs/)?\w+\.md\]\((?=\w+\.md)")
+_MADE_PAGE = re.compile(r"`(\w+_reference)\.md`")
 _OF_SOURCES = re.compile(r"\[([^\]]+)\]\(\.\./(?!CONTRIBUTING|CHANGELOG)[^)]+\)")
 
 
@@ -67,13 +68,14 @@ def assemble(folder: Path) -> None:
 
 
 def at_one_level(text: str) -> str:
-    """A page as it stands in the folder of all pages.
+    """Return a page as it stands in the folder of all pages.
 
-    Links count from there, those that show the name of a page show its title, and those to source
-    files are text.
+    Links start from there. Links that show the name of a page show its title, links to source
+    files become text, and the names of generated pages become links.
     """
     text = text.replace("](docs/", "](").replace("](../CO", "](CO").replace("](../CH", "](CH")
-    return _OF_SOURCES.sub(r"\1", _NAMED_BY_FILE.sub("[](", text))
+    text = _MADE_PAGE.sub(r"[](\1.md)", _NAMED_BY_FILE.sub("[](", text))
+    return _OF_SOURCES.sub(r"\1", text)
 
 
 def navigation(index: str) -> str:
