@@ -99,7 +99,7 @@ def zsh(commands: Mapping[str, Words]) -> Iterator[str]:
 def fish(commands: Mapping[str, Words]) -> Iterator[str]:
     """For fish: `mbd-ros completion fish | source`."""
     line = "complete -c mbd-ros"
-    yield f"{line} -n __fish_use_subcommand -f -l version -d 'show it and exit'"
+    yield f"{line} -n __fish_use_subcommand -f -l version -d 'show version and exit'"
     for name, words in commands.items():
         yield f"{line} -n __fish_use_subcommand -f -a {name} -d {_fish(words.text)}"
         mine = f"{line} -n '__fish_seen_subcommand_from {name}'"
