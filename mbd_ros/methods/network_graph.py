@@ -54,7 +54,7 @@ def _check_node(name: str, node: bytes) -> None:
     operator, domain = texts.get(_OPERATOR, ""), texts.get(_DOMAIN, "")
     if operator not in OPERATORS or domain:
         raise ModelError(
-            f"{name}: the network cannot be asked: operator '{operator}'"
+            f"{name}: the network cannot be evaluated: operator '{operator}'"
             f"{f' of {domain}' if domain else ''}, accepted: {', '.join(sorted(OPERATORS))}"
         )
 

@@ -43,7 +43,7 @@ def physics_beside(scene: Scene, said: About) -> dict[str, list[float]]:
 
 def is_learned(part: Load) -> bool:
     """Whether a part is a learned model."""
-    return isinstance(getattr(part, "said", None), About)
+    return isinstance(getattr(part, "description", None), About)
 
 
 def check_models(scene: Scene) -> None:
@@ -54,7 +54,7 @@ def check_models(scene: Scene) -> None:
     """
     for part in filter(is_learned, scene.parts.get("forces", ())):
         try:
-            check_physics(part.file, part.said, physics_beside(scene, part.said))
+            check_physics(part.file, part.description, physics_beside(scene, part.description))
         except ModelError as error:
             raise SceneError(f"{scene.name}: forces: {error}") from error
 

@@ -131,7 +131,7 @@ def test_it_fades_outside_of_what_it_learned_from_and_says_so(folder):
     assert shares[0] == 1.0 and shares[-1] == shares[-2] == 0.0
     assert (np.diff(shares) <= 0.0).all() and shares[5] == pytest.approx(0.5)
     x = State(0.0, 1.25 * edge, v)
-    assert "position of" in part.doubt(x) and "50 % of it acts" in part.doubt(x)
+    assert "position of" in part.doubt(x) and "50 % of the learned torque acts" in part.doubt(x)
     assert not part.force(None, State(0.0, q, np.full(7, 9.0)), NONE).any()
     assert "velocity of" in part.doubt(State(0.0, q, np.full(7, 9.0)))
 
@@ -229,12 +229,12 @@ def product_of_gigabytes(data):
         (lambda data: b"\x80\x04\x95cos\nsystem\n", "no file of mbd-ros learn"),
         (lambda data: b"", "no file of mbd-ros learn"),
         (versioned, "version 9 .* accepted: 1"),
-        (foreign_operator, "the network cannot be asked: operator 'RunCode', accepted: Add,"),
-        (endless, "the network cannot be asked: operator 'Loop'"),
+        (foreign_operator, "the network cannot be evaluated: operator 'RunCode', accepted: Add,"),
+        (endless, "the network cannot be evaluated: operator 'Loop'"),
         (foreign_domain, "operator 'Tanh' of com.other, accepted"),
         (elsewhere, "has numbers that are sparse or in another file"),
         (with_function, "has functions of its own"),
-        (product_of_gigabytes, "the network cannot be asked: .*[Mm]emory"),
+        (product_of_gigabytes, "the network cannot be evaluated: .*[Mm]emory"),
         (other_numbers, "does not say what it belongs to"),
     ],
 )
