@@ -82,7 +82,7 @@ def build_scene(
     parts, robot = build(origin, entries, sections, kept)
     assert robot is not None
     scene = Scene(origin, robot, parts, entries, sections, code)
-    if any(hasattr(part, "said") for part in parts.get("forces", ())):
+    if any(hasattr(part, "description") for part in parts.get("forces", ())):
         from mbd_ros.scene.reading.learned_entries import check_models
 
         check_models(scene)
