@@ -502,11 +502,11 @@ NAN, INF = math.nan, math.inf
         (LoopClosure, {**ENDS, "axis": "-z"}, ".axis: expected one of x, y, z, got '-z'"),
         (LoopClosure, {**ENDS, "rpy_b": (0, 0, NAN)}, ".rpy_b[2]: nan is out of range"),
         (LoopClosure, {"frame_a": "foot", "frame_b": "heel"}, "do not move against each other"),
-        (FrameAnchor, {**FOOT, "position": (0, 0, 0)}, "orientation goes with kind full"),
+        (FrameAnchor, {**FOOT, "position": (0, 0, 0)}, "orientation must be given for kind full"),
         (
             FrameAnchor,
             {**FOOT, "position": A, "orientation": A, "kind": "point"},
-            "orientation goes with kind full",
+            "orientation must be left out for kind point",
         ),
         (
             FrameAnchor,
@@ -562,7 +562,7 @@ NAN, INF = math.nan, math.inf
         (
             PrescribedMotion,
             {"joint": "knee", "harmonic": {"amplitude": 1.0}},
-            "harmonic lacks angular_frequency",
+            "harmonic: angular_frequency is missing",
         ),
         (
             PrescribedMotion,
