@@ -344,7 +344,7 @@ def test_every_integrator_takes_bristles(method, dt):
         ({"friction": 0.5, "creep": 0.0}, "creep: 0 is out of range"),
         ({"friction": 0.5, "bristle_stiffness": 1e4}, "both bristle_stiffness and"),
         ({**BRISTLE, "creep": 1e-3}, "not both"),
-        ({"exponent": 1.5}, "exponent belongs to law: hunt_crossley"),
+        ({"exponent": 1.5}, "exponent is accepted with law: hunt_crossley only"),
         ({"stiffness": 0.0}, "stiffness: 0 is out of range"),
         ({"dissipation": -1.0}, "dissipation: -1 is out of range"),
         ({"law": "hertz"}, "law: expected one of linear, hunt_crossley"),
