@@ -470,7 +470,7 @@ def test_a_chain_finds_the_optimum_of_the_whole_program():
             if node is horizon._nodes[-1]:
                 bounds = bounds._replace(lower=true - 0.1 * room, upper=true + room)
             nodes.append(replace(node, bounded=bounds))
-        ours, theirs = (one.solve(nodes, horizon._first()) for one in (chain, program))
+        ours, theirs = (one.solve(nodes, horizon._arrival_cost()) for one in (chain, program))
         size = np.sqrt(theirs.P.diagonal())
         assert (np.abs(ours.steps - theirs.steps) / size).max() < 1e-7
         acting.append(ours.active)
