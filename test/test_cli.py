@@ -287,7 +287,7 @@ def test_failure_leaves_the_old_output_as_it_was(capsys, tmp_path, motion):
     [
         (
             "inverse",
-            {"--cutoff": "causal 5.0, zero-phase from the noise", "--topic": "/joint_states"},
+            {"--topic": "/joint_states", "--stance-gap": "0.001", "--stance-speed": "0.02"},
         ),
         ("replay", {"--cutoff": "5.0", "--skip": "0.5", "--rate": "1"}),
         ("simulate", {"--start": "0.0"}),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
@@ -35,14 +35,18 @@ class Derivatives(NamedTuple):
     """Where velocity and acceleration come from.
 
     Attributes:
-        source: given, causal, zero-phase or opensim.
-        cutoff: Half-power frequency of the filters [Hz]; None: that of the live node for causal
-            ones, for zero-phase what each joint's recording asks for, for opensim 6 Hz; inf
-            there: no filter.
-        half_width: Samples on either side of a local zero-phase fit, in place of a cut-off.
+        source: Where velocities and accelerations come from. given: the motion has them.
+            causal: filters that lag, as in the node. zero-phase: a low-pass filter without lag.
+            opensim: the filter and the splines of OpenSim, also for a .mot that has only
+            positions.
+        cutoff: Half-power frequency of the filters [Hz]. By default 5 Hz for causal filters, a
+            frequency that is chosen from the noise of the recording and printed for zero-phase
+            filters, and 6 Hz for opensim, where inf means no filter.
+        half_width: Samples on either side of the local fits that replace the zero-phase filter.
+            It excludes a cutoff.
     """
 
-    source: str
+    source: Literal["given", "causal", "zero-phase", "opensim"] = "given"
     cutoff: float | None = None
     half_width: int | None = None
 

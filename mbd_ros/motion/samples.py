@@ -34,25 +34,30 @@ _NEAR = 0.01  # steps of the motion: times that were resampled are a little off
 
 
 class Task(NamedTuple):
-    """What is asked for.
+    """A recorded motion, and what inverse dynamics shall make of it.
 
     Attributes:
-        motion: Result, file or bag.
-        derivatives: Where velocity and acceleration come from.
-        wrenches: Result, file or bag of the external loads; a bag motion carries its own.
+        motion: Result, file or bag with the motion.
+        derivatives: Source of velocities and accelerations.
+        wrenches: Table or bag of the external loads of the scene. A bag that holds the motion
+            holds its loads, too.
         topic: JointState topic of a bag.
-        parts: Also give the torques by cause; not for scenes with loops, where a cause alone may
-            be out of reach of the actuators.
-        bounds: Keep the bounds of efforts and multipliers.
-        external: External loads of a laboratory (.xml), in place of `wrenches`.
-        time_range: First and last time of the samples that are solved [s]; None for all.
-        power: Also give powers and their balance.
-        stance: Forces of contacts that nobody measured are unknowns; None for none of them.
-        wrench_axes: Recorded axis of `wrenches` along each axis of the scene; None: the same.
+        parts: Also compute the torques by cause: gravity, coriolis, inertial and external. Scenes
+            with loops refuse it, since a cause alone may be out of reach of the actuators.
+        bounds: Keep efforts within the limits of actuators, and forces of stops, dry friction and
+            limited drives within their laws.
+        external: External loads of OpenSim (.xml with its .mot), in place of those of the scene.
+        time_range: First and last time that is solved [s]. Derivatives still come from the whole
+            motion.
+        power: Also compute the powers of joints, parts and segments, and their balance.
+        stance: How unmeasured forces of contacts are found; None takes 0 for them.
+        wrench_axes: Recorded axis along each axis of the scene, such as `x,z,-y`, for the loads
+            of `wrenches`; `screen` takes them from X_SCREEN and Y_SCREEN of a .c3d. By default
+            the axes are the same.
     """
 
     motion: Source
-    derivatives: Derivatives = Derivatives("given")
+    derivatives: Derivatives = Derivatives()
     wrenches: Source | None = None
     topic: str = "/joint_states"
     parts: bool = False

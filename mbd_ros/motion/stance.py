@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pinocchio as pin
@@ -32,21 +32,24 @@ from mbd_ros.methods.inverse_dynamics.standing import Nearness
 from mbd_ros.motion.recordings import Source, name_of, read_columns
 from mbd_ros.scene.built_scene import Scene
 
-METHODS = ("minimum-norm", "smooth")
+Method = Literal["minimum-norm", "smooth"]
+METHODS = get_args(Method)
 _INSIDE = 0.9  # of the friction that a normal force bears: the corners of a foot differ
 _AHEAD = math.exp(4.0 / 9.0), math.exp(-4.0 / 3.0) / 2.0
 Solve = Callable[[int, Wish | None], Torques]
 
 
 class StanceTask(NamedTuple):
-    """What is asked of feet on the ground.
+    """How inverse dynamics finds the forces of feet on the ground that nobody measured.
 
     Attributes:
-        method: One of `METHODS`: what decides where a motion does not.
-        near: What counts as on the ground, where the motion has no states of contacts.
+        method: Makes the forces of unmeasured contacts unknowns, and decides between them where
+            the motion does not. minimum-norm: the least efforts. smooth: the smooth transition of
+            walking from one foot to the other.
+        near: Thresholds of a contact, where the motion has no states of contacts.
     """
 
-    method: str = METHODS[0]
+    method: Method = "minimum-norm"
     near: Nearness = Nearness()
 
 

@@ -91,7 +91,7 @@ def test_the_file_the_option_and_the_task_ask_for_it(tmp_path, capsys):
 def test_two_solvers_are_refused(tmp_path, capsys):
     words = ["simulate", "arm7", "-t", "1", "-o", str(tmp_path / "o.csv"), "--compiled"]
     assert main([*words, "--solver", "qp"]) == BAD_INPUT
-    assert "--compiled: beside --solver qp; accepted: one of both" in capsys.readouterr().err
+    assert "--compiled and --solver qp: accepted is one of the two" in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -32,26 +32,27 @@ def follow(
     tube: int = 48,
     watch: Watch = False,
 ) -> Result:
-    """Time-varying linear quadratic regulator along a motion.
+    """Compute a time-varying linear quadratic regulator that returns a robot to a motion.
 
-    The cost of deviations is |e_q / position|² + |e_v / velocity|² + |du / effort|², integrated;
-    at the end of the motion, that of holding its last state for ever, where that is possible.
+    The cost is the integral of |e_q / position|² + |e_v / velocity|² + |du / effort|² along the
+    motion. Where the last state can be held, its cost from then on is added.
 
     Args:
         scene: A scene whose actuators take the torque of their joint.
-        motion: Result or file with positions, velocities, and efforts or commands.
+        motion: Result or file with positions, velocities, and efforts or commands of actuators.
         position: Tolerated deviation of positions [rad or m].
-        velocity: Of velocities [rad/s or m/s].
-        effort: Of efforts [N·m or N]; None for the limit of each input, or else its largest, but
-            not more than a twentieth of what makes a held contact slip or lift.
-        tube: Number of random disturbances that the tube is tested with; 0 for no tube.
+        velocity: Tolerated deviation of velocities [rad/s or m/s].
+        effort: Tolerated deviation of efforts [N·m or N]. By default the limit of each input, or
+            its largest value in the motion; but at most a twentieth of what makes a closed
+            contact slip or lift.
+        tube: Number of random disturbances that test how far the motion may be off; 0 for none.
         watch: True for a line on a terminal, or a function of a label and a share.
 
     Returns:
-        Table `samples`, the motion; table `plan`, see `files.recording`.
+        Table `samples` with the motion, and table `plan` with the gains.
 
     Raises:
-        DataError: The motion lacks something, or the scene cannot be followed.
+        DataError: The motion lacks a column, or the scene cannot be followed.
     """
     tolerated = _checked(Tolerated(position, velocity, effort))
     if not 0 <= tube <= _MOST_DISTURBANCES:

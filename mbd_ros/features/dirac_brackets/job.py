@@ -27,22 +27,23 @@ _LONG = 160  # characters of an expression that nobody asked for
 
 
 def bracket(scene: Any, *, symbolic: bool | None = None, say: Say | None = None) -> Result:
-    """Dirac brackets of the coordinates and momenta of a scene at its start.
+    """Compute the Dirac brackets of the coordinates and momenta of a scene at its start.
 
     Args:
-        scene: Particles or a mechanism without free bodies, with rows of positions alone.
-        symbolic: Whether expressions are told; None: those of up to four coordinates.
-        say: Is called with each line for people; without it the lines are
-            `metadata["remarks"]`.
+        scene: Particles, or a mechanism without free bodies, whose constraints all restrict
+            positions.
+        symbolic: Also print expressions, however long. By default those of up to four
+            coordinates are printed, unless they are long.
+        say: Called with each line for people; without it the lines go to `metadata["remarks"]`.
 
     Returns:
-        Table `samples`: {row, column}_D, rows and columns the coordinates, then their momenta
-        `p_<name>`. Table `checks`: largest brackets with rows and their rates, which are Casimirs;
-        motion by the bracket less motion by multipliers; with up to twelve coordinates the
-        violation of Jacobi's identity.
+        Table `samples`: {row, column}_D, whose rows and columns are the coordinates, then their
+        momenta `p_<name>`. Table `checks`: the largest bracket with a constraint or its rate,
+        which are Casimirs; the motion by the bracket less the motion by multipliers; with up to
+        twelve coordinates the violation of Jacobi's identity.
 
     Raises:
-        SceneError: The scene has no brackets; says why.
+        SceneError: The scene has no brackets; the message says why.
     """
     remarks: list[str] = []
     tell, space = say or remarks.append, phase_space(scene)

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path as File
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +57,7 @@ def loads(
     joints: Sequence[str] = (),
     muscle_forces: Source | None = None,
     at: Sequence[float] = (),
-    units: str = "m",
+    units: Literal["m", "mm"] = "m",
     derivatives: str = "given",
     cutoff: float | None = None,
     half_width: int | None = None,
@@ -126,16 +126,17 @@ def loads(
 
 
 class LoadsTask(NamedTuple):
-    """What is asked for.
+    """A recorded motion, and the body whose loads are computed.
 
     Attributes:
-        motion: As inverse dynamics takes it.
-        body: Link whose loads are wanted.
-        joints: Fixed joints at which the body ends.
-        muscle_forces: Table of tensions; None for those of the motion.
-        at: Chosen instants [s].
-        units: m or mm, see `units`.
-        mesh: What takes the loads, for .inp, .feb and .vtu.
+        motion: The motion, as inverse dynamics takes it.
+        body: Link whose loads are computed, with all links that fixed joints tie to it.
+        joints: Fixed joints at which the body ends, besides the joints that move.
+        muscle_forces: Table with `<muscle>.force` or `<muscle>.tension` [N]. By default these are
+            columns of the motion.
+        at: Instants to mark beside the peaks [s].
+        units: m: N, m, kg, s and Pa. mm: N, mm, t, s and MPa.
+        mesh: Solid that takes the loads; needed for .inp, .feb and .vtu.
     """
 
     motion: Task
@@ -143,7 +144,7 @@ class LoadsTask(NamedTuple):
     joints: Sequence[str] = ()
     muscle_forces: Source | None = None
     at: Sequence[float] = ()
-    units: str = "m"
+    units: Literal["m", "mm"] = "m"
     mesh: "MeshTask | None" = None
 
 

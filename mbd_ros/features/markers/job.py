@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -50,36 +50,36 @@ def kinematics(
     task: KinematicsTask | str | Path = NO_TASK,
     begin: float | None = None,
     end: float | None = None,
-    unit: str | None = None,
+    unit: Literal["m", "mm", "cm"] | None = None,
     axes: str | None = None,
     smoothness: float | None = None,
     limits: bool | None = None,
     say: Say | None = None,
 ) -> Result:
-    """Positions of all joints that fit recorded markers best.
+    """Compute the positions of all joints that fit recorded markers best.
 
     Args:
         scene: The scene, with markers among its `sensors`.
         markers: Result or file of the markers.
-        task: Weights of markers and coordinates: a task, a task file, or a set-up of OpenSim's
-            inverse kinematics (.xml).
+        task: Weights of markers and coordinates: a task, a task file, or a setup file of
+            OpenSim's inverse kinematics (.xml).
         begin: First time [s], in place of that of the task.
-        end: Last time [s], likewise.
-        unit: Of the places: m, mm or cm.
-        axes: Recorded axis along each axis of the scene, as `x,z,-y`; `screen` where a .c3d says
-            them.
-        smoothness: In place of that of the task; 0 fits frames alone.
+        end: Last time [s], in place of that of the task.
+        unit: Unit of the recorded markers. By default that of the file.
+        axes: Recorded axis along each axis of the scene, such as `x,z,-y`; `screen` takes them
+            from X_SCREEN and Y_SCREEN of a .c3d. By default the axes are the same.
+        smoothness: Ratio of the error of markers to the error of accelerations [m s^2/rad], in
+            place of that of the task. Any value above 0 fits all frames together.
         limits: Whether joints keep their limits.
-        say: Is called with each line for people; without it the lines are
-            `metadata["remarks"]`.
+        say: Called with each line for people; without it the lines go to `metadata["remarks"]`.
 
     Returns:
-        Table `samples`: `time`, `<joint>.position` of all joints, coupled and locked ones too; of
-        free bodies `<body>.position.x` and so on. Table `residuals`: `objective`, `remainder`,
-        `rms`, `max`, and the distance of each marker, nan where it was not seen.
+        Table `samples`: `time` and `<joint>.position` of all joints, also of coupled and locked
+        ones; for free bodies `<body>.position.x` and so on. Table `residuals`: `objective`,
+        `remainder`, `rms`, `max`, and the distance of each marker, nan where it was not seen.
 
     Raises:
-        DataError: Markers that cannot be read or do not fit the scene.
+        DataError: The markers cannot be read or do not fit the scene.
         SolveError: A mechanism with loops does not close.
     """
     asked = read_tasks(scene, task)

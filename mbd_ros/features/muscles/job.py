@@ -275,8 +275,8 @@ def summary(
     solver: StaticOptimization, samples: Observations, chunks: Sequence[Shares]
 ) -> Iterator[str]:
     """Lines for people on how muscles shared the forces of a motion, some frames each."""
-    criterion, reserves = solver.wishes.criterion, solver.reserves
-    passive = "takes part" if solver.wishes.passive else "is left out"
+    criterion, reserves = solver.sharing.criterion, solver.reserves
+    passive = "takes part" if solver.sharing.passive else "is left out"
     yield (
         f"objective: {criterion.kind}, exponent {criterion.exponent:g}, {len(solver.muscles)} "
         f"muscles and {len(reserves)} reserves; passive force of the fibres {passive}"

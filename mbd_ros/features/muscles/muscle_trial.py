@@ -15,7 +15,6 @@ from mbd_ros.core.muscles.muscle import FirstOrder, Muscle, SmoothFirstOrder
 from mbd_ros.core.state import Array
 
 ACTIVATION, TENDON = "activation", "tendon"
-DEFAULTS = (0.02, 4, 1.0e-3)  # of all but `kind`
 _CURVES = DeGrooteFreglyCurves(4.0, 0.6, 0.049, 1.0, 0.01)  # of muscles whose own have kinks
 _STEEPNESS = 0.1  # of their change from rising to falling activation
 

@@ -78,7 +78,7 @@ class Criterion(NamedTuple):
 DEFAULT = Criterion()
 
 
-class Wishes(NamedTuple):
+class SharingOptions(NamedTuple):
     """What is asked of the activations.
 
     Attributes:
@@ -98,7 +98,7 @@ class Wishes(NamedTuple):
     measured_is_least: bool = False
 
 
-NOTHING_SPECIAL = Wishes()
+DEFAULT_SHARING = SharingOptions()
 
 
 class StaticOptimization:
@@ -111,7 +111,7 @@ class StaticOptimization:
         known: Inverse dynamics of the robot without its muscles.
         muscles: At least one.
         reserves: What helps them.
-        wishes: What is asked.
+        sharing: What is asked.
         search: Finds paths that wrap in many frames, as for `PathBatch`.
         quick: As for `MuscleFrames`.
 
@@ -121,7 +121,7 @@ class StaticOptimization:
             accelerations, shape (nq, frames) and twice (nv, frames).
 
     Raises:
-        ModelError: No muscle, or wishes that do not go together.
+        ModelError: No muscle, or sharing that do not go together.
     """
 
     def __init__(
@@ -130,13 +130,13 @@ class StaticOptimization:
         known: InverseDynamics,
         muscles: Sequence[Muscle],
         reserves: Sequence[Reserve] = (),
-        wishes: Wishes = NOTHING_SPECIAL,
+        sharing: SharingOptions = DEFAULT_SHARING,
         search: Any = None,
         quick: Callable[..., Any] | None = None,
     ) -> None:
-        check_wishes(muscles, wishes)
+        check_sharing(muscles, sharing)
         self.known, self.muscles, self.reserves = known, tuple(muscles), tuple(reserves)
-        self.wishes, self.robot = wishes, robot
+        self.sharing, self.robot = sharing, robot
         self.names = tuple(part.name for part in (*muscles, *reserves))
         self._frames = MuscleFrames(robot, known.couplings, muscles, reserves, search, quick)
         self._sizes, self._n = sizes_of(muscles), len(muscles)
@@ -178,9 +178,9 @@ class StaticOptimization:
         frames, needed = self.demand(position, velocity, acceleration, wrenches)
         gains = np.concatenate((frames.active, np.tile(self._optimal, (len(times), 1))), axis=1)
         A, b = frames.columns * gains[:, None, :], needed
-        if self.wishes.passive:
+        if self.sharing.passive:
             b = needed - np.einsum("tji,ti->tj", frames.columns[:, :, : self._n], frames.passive)
-        prices = self.wishes.criterion.prices(self._sizes, frames.active, frames.fiber_speed)
+        prices = self.sharing.criterion.prices(self._sizes, frames.active, frames.fiber_speed)
         if measured is None:
             measured = np.full_like(frames.active, np.nan)
         found, values = [], []
@@ -190,7 +190,7 @@ class StaticOptimization:
             values.append(value)
         x = np.array([optimum.x for optimum in found])
         force = x[:, : self._n] * frames.active
-        if self.wishes.passive:
+        if self.sharing.passive:
             force += frames.passive
         return Shares(
             *(frames, needed, x[:, : self._n], force, x[:, self._n :] * self._optimal),
@@ -238,22 +238,22 @@ class StaticOptimization:
         """One frame."""
         lower, upper, n = self._lower.copy(), self._upper.copy(), self._n
         known = np.isfinite(measured)
-        if self.wishes.measured_is_least:
+        if self.sharing.measured_is_least:
             lower[:n][known] = np.minimum(np.maximum(lower[:n], measured), upper[:n])[known]
         if self._last is not None:
             dt, before = t - self._last[0], self._last[1]
             lower[:n] = np.maximum(
-                lower[:n], np.minimum(before - self.wishes.fall * dt, upper[:n])
+                lower[:n], np.minimum(before - self.sharing.fall * dt, upper[:n])
             )
             upper[:n] = np.minimum(
-                upper[:n], np.maximum(before + self.wishes.rise * dt, lower[:n])
+                upper[:n], np.maximum(before + self.sharing.rise * dt, lower[:n])
             )
         cost = self._cost(prices, measured, known)
         try:
             optimum = self._program.solve(cost, A, b, lower, upper)
         except SolveError as error:
             raise SolveError(f"static optimisation at {t:.9g} s: {error}") from error
-        if min(self.wishes.rise, self.wishes.fall) < np.inf:
+        if min(self.sharing.rise, self.sharing.fall) < np.inf:
             self._last = t, optimum.x[:n]
         return optimum, cost.value(optimum.x)
 
@@ -261,14 +261,14 @@ class StaticOptimization:
         r, none = len(self.reserves), np.zeros(len(self.names))
         weight = np.concatenate((prices, np.ones(r)))
         stiffness, target = none, none
-        if self.wishes.tracking > 0.0:
-            price = np.where(known, self.wishes.tracking, 0.0)
+        if self.sharing.tracking > 0.0:
+            price = np.where(known, self.sharing.tracking, 0.0)
             stiffness = np.concatenate((price, np.zeros(r)))
             target = np.concatenate((np.where(known, measured, 0.0), np.zeros(r)))
-        return SeparableCost(self.wishes.criterion.exponent, weight, none, stiffness, target)
+        return SeparableCost(self.sharing.criterion.exponent, weight, none, stiffness, target)
 
 
-def check_wishes(muscles: Sequence[Muscle], wishes: Wishes) -> None:
+def check_sharing(muscles: Sequence[Muscle], sharing: SharingOptions) -> None:
     """Refuse what no optimum is defined for.
 
     Raises:
@@ -276,13 +276,13 @@ def check_wishes(muscles: Sequence[Muscle], wishes: Wishes) -> None:
     """
     if not muscles:
         raise ModelError("static optimisation: the scene has no muscles")
-    exponent = wishes.criterion.exponent
-    if wishes.tracking > 0.0 and exponent > MOST_WITH_TRACKING:
+    exponent = sharing.criterion.exponent
+    if sharing.tracking > 0.0 and exponent > MOST_WITH_TRACKING:
         raise ModelError(
             f"static optimisation: exponent {exponent:g} beside measured activations that are "
             f"tracked; accepted: 1 .. {MOST_WITH_TRACKING:g}"
         )
-    if not (wishes.rise > 0.0 and wishes.fall > 0.0):
+    if not (sharing.rise > 0.0 and sharing.fall > 0.0):
         raise ModelError("static optimisation: rates of activation must be greater than 0")
 
 

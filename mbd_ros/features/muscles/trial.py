@@ -70,7 +70,7 @@ def shared_trial(
     times = (samples.stamps - samples.stamps[0]) * NANOSECOND
     if len(times) < 4:
         raise DataError(f"{len(times)} frames: dynamics of muscles need at least 4")
-    muscles, p = muscles_with(asked, solver.muscles), solver.wishes.criterion.exponent
+    muscles, p = muscles_with(asked, solver.muscles), solver.sharing.criterion.exponent
     count = max(1, math.ceil(times[-1] / asked.interval - 1.0e-6))
     if count > MOST_INTERVALS:
         raise DataError(
@@ -207,15 +207,15 @@ def known_at(
     n = len(muscles)
     columns = frames.columns.copy()
     columns[:, :, n:] *= [reserve.optimal for reserve in solver.reserves]
-    prices = solver.wishes.criterion.prices(sizes_of(muscles), frames.active, frames.fiber_speed)
+    prices = solver.sharing.criterion.prices(sizes_of(muscles), frames.active, frames.fiber_speed)
     least = np.tile([float(muscle.dynamics.least) for muscle in muscles], (len(at), 1))
     stiffness, target = np.zeros_like(least), np.zeros_like(least)
     if measured is not None:
         given = np.isfinite(measured)
         target[given] = measured[given]
-        if solver.wishes.measured_is_least:
+        if solver.sharing.measured_is_least:
             least = np.where(given, np.clip(target, least, 1.0), least)
-        stiffness[given] = solver.wishes.tracking
+        stiffness[given] = solver.sharing.tracking
     largest = np.abs(needed).max(axis=0, initial=0.0)
     sizes = np.maximum(largest, _LEAST_SIZE * largest.max(initial=0.0))
     return Trial(

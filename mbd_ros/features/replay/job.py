@@ -63,26 +63,31 @@ _CLOCK_TOLERANCE = 1e10  # s: recorders and robots may live in different times
 
 
 def replay(
-    asked: Replay, reference: str | None, skip: float, say: Callable[[str], None]
+    order: Replay,
+    reference: str | None = None,
+    skip: float = 0.5,
+    *,
+    say: Callable[[str], None],
 ) -> Result:
-    """Play a bag to the node and compare its torques.
+    """Play a bag to the node and compare its torques with those of a topic.
 
     Args:
-        asked: What to play and how.
-        reference: JointState topic of the bag to compare with; None: the one that is played.
-        skip: Time left out of the errors at the start [s].
-        say: Is told the numbers of messages and the table of errors, a line each.
+        order: The bag, and how it is played.
+        reference: JointState topic of the bag whose efforts are the reference. By default the
+            topic that is played.
+        skip: Time at the start that the errors leave out [s].
+        say: Called with the counts of messages and the table of errors, line by line.
 
     Returns:
-        As `compare`; metadata `played` and `answered` as well.
+        The result of `compare`, with the metadata `played` and `answered`.
     """
-    scene = load_scene(asked.scene)
-    played, answered = play(asked)
+    scene = load_scene(order.scene)
+    played, answered = play(order)
     say(f"{played} joint states played, {answered} answered, {played - answered} lost")
-    known = asked.bag, reference or asked.topic
+    known = order.bag, reference or order.topic
     joints, members = scene.couplings.independent, scene.robot.members
-    found = compare((asked.out, TORQUES), known, joints, skip, say, members)
-    inputs = {"bag": asked.bag, "rate": asked.rate, "cutoff": asked.cutoff, "skip": skip}
+    found = compare((order.out, TORQUES), known, joints, skip, say, members)
+    inputs = {"bag": order.bag, "rate": order.rate, "cutoff": order.cutoff, "skip": skip}
     metadata = metadata_of("replay", scene, {**inputs, "reference": known[1]}, {})
     counts = {"played": played, "answered": answered}
     return Result(found.tables, {**metadata, **found.metadata, **counts, "stamps": "recorded"})
@@ -90,23 +95,23 @@ def replay(
 
 @dataclass(frozen=True)
 class Replay:
-    """Order of a replay.
+    """A bag that is played to a node, and how.
 
     Attributes:
-        bag: Recording to play.
+        bag: Bag to play.
         scene: Scene of the node.
-        out: Bag of the answers of the node.
+        out: Bag for the output of the node.
         rate: Speed factor; 0 plays as fast as the node answers.
         topic: JointState topic of the bag.
-        cutoff: Half-power frequency of the node's derivative filters [Hz].
+        cutoff: Half-power frequency of the filters with which the node differentiates [Hz].
     """
 
     bag: Path
     scene: Path
     out: Path
-    rate: float
-    topic: str
-    cutoff: float
+    rate: float = 1.0
+    topic: str = "/joint_states"
+    cutoff: float = 5.0
 
 
 def play(replay: Replay) -> tuple[int, int]:

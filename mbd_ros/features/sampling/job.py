@@ -62,13 +62,13 @@ _FEW = 100  # effective samples
 
 
 class Where(NamedTuple):
-    """Where chains are sampled, and where they go on and stop.
+    """Processes that sample chains, and checkpoints.
 
     Attributes:
-        workers: How many cores; None for all.
-        scheduler: Of a Dask cluster.
-        goes_on: Checkpoint of an earlier run.
-        checkpoint: Where that of this run goes.
+        workers: Number of processes; None for one per core.
+        scheduler: Address of a Dask cluster in place of processes of this machine.
+        goes_on: Checkpoint of an earlier run, which this run continues.
+        checkpoint: File for the checkpoint of this run.
     """
 
     workers: int | None = None
@@ -91,27 +91,27 @@ def sample(
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
-    """Samples of the canonical ensemble of a scene, or mean forces along a coordinate.
+    """Sample the canonical ensemble of a scene, or compute mean forces along a coordinate.
 
     Args:
         scene: A scene of particles, or a mechanism without free bodies.
-        task: A task file with a section `sample`, or its keys.
-        workers: How many processes; None for one a core, which a script starts only below
-            `if __name__ == "__main__":`. They do not change the result.
-        scheduler: Of a Dask cluster, in place of them.
-        goes_on: Checkpoint of an earlier run, from which this one goes on.
-        checkpoint: Where a checkpoint goes.
-        say: Is called with each line for people; without it the lines are
-            `metadata["remarks"]`.
+        task: A task file with a section `sample`, or the keys of that section: the arguments of
+            `mbd_ros.features.sampling.task.SampleTask`.
+        workers: Number of processes, which does not change the result; None for one per core. A
+            script starts several only below `if __name__ == "__main__":`.
+        scheduler: Address of a Dask cluster in place of processes of this machine.
+        goes_on: Checkpoint (.npz) of an earlier run, which this run continues.
+        checkpoint: File (.npz) for the states of the chains at the end of the run.
+        say: Called with each line for people; without it the lines go to `metadata["remarks"]`.
         progress: True for a line on a terminal, or a function of a label and a share.
 
     Returns:
-        Tables `samples`, `averages`, `chains` and `histogram.<quantity>`; with a coordinate
-        `profile`.
+        Tables `samples`, `averages`, `chains` and `histogram.<quantity>`; with a coordinate the
+        table `profile`.
 
     Raises:
         SceneError: The task cannot be read, or does not fit the scene.
-        DivergedError: A step does not end on the rows.
+        DivergedError: A step does not end on the constraints.
     """
     remarks: list[str] = []
     paths = (None if one is None else Path(one) for one in (goes_on, checkpoint))

@@ -65,23 +65,25 @@ def simulate(
     say: Say | None = None,
     progress: Watch = False,
 ) -> Result:
-    """Motion from forces, with constraint forces, energy and violations.
+    """Simulate a scene: its motion, constraint forces, energy and constraint violations.
 
     Ctrl-C returns the motion so far, with the reason in `metadata["ended"]`.
 
     Args:
-        duration: [s].
-        start: Time at which the simulation begins [s].
-        origin: Result or file whose joint state at `start` is the initial one, in place of that
-            of the scene.
-        efforts: Result or file of the commands of actuators, or of the efforts of joints.
-        wrenches: Result or file of the external loads of the scene.
-        dt: Step of a fixed-step method, and interval of the output [s].
-        integrator: Type or entry, in place of that of the scene.
-        tolerance: Of the integrator.
-        solver: Type or entry of the tier, in place of that of the scene.
-        say: Is called with each line for people; without it the lines are
-            `metadata["remarks"]`.
+        duration: Simulated time [s].
+        start: Time at which the simulation starts [s].
+        origin: Result, table or bag with the initial joint state at `start`, in place of that of
+            the scene.
+        efforts: Result, table or bag of the inputs: `<actuator>.command` or `<joint>.effort`.
+        wrenches: Result, table or bag of the external loads of the scene.
+        dt: Step of a fixed-step method, and interval of the output [s]. By default that of the
+            scene.
+        integrator: Integrator in place of that of the scene: its type, or from Python an entry.
+        tolerance: Tolerance of the integrator: the largest error of a step of dopri5, dop853 and
+            filippov, or that of Newton's method of gauss_legendre, generalized_alpha, rattle and
+            shake. The other integrators have none.
+        solver: Solver in place of that of the scene: its type, or from Python an entry.
+        say: Called with each line for people; without it the lines go to `metadata["remarks"]`.
         progress: True for a line on a terminal, or a function of a label and a share.
 
     Returns:

@@ -18,12 +18,14 @@ _GRAVITY = 9.81  # m/s^2, where a scene has none
 
 
 class Nearness(NamedTuple):
-    """How near is on the ground.
+    """Thresholds of a contact that counts as closed.
 
     Attributes:
-        gap: Largest gap, of the length L from the mass centre of all that moves with the contact
-            to its farthest feature, in the neutral configuration [-].
-        speed: Largest speed along the normal, of sqrt(g L) [-].
+        gap: Largest gap of a contact that stands, as a multiple of the length L [-]. L is the
+            distance from the mass centre of all that moves with the contact to its farthest
+            feature, in the neutral configuration.
+        speed: Largest speed along the normal of a contact that stands, as a multiple of
+            sqrt(g L) [-].
     """
 
     gap: float = 1.0e-3

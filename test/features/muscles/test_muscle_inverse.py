@@ -8,7 +8,6 @@ import mbd_ros as mbd
 from mbd_ros.core.muscles.curves import ArrayNumbers
 from mbd_ros.errors import MbdError
 from mbd_ros.features.muscles.muscle_trial import (
-    DEFAULTS,
     Excited,
     MuscleDynamics,
     Trial,
@@ -16,6 +15,8 @@ from mbd_ros.features.muscles.muscle_trial import (
 )
 from mbd_ros.features.muscles.trial import Points
 from mbd_ros.optimal_control.mesh import RADAU, collocation
+
+MESH = (0.02, 4, 1.0e-3)  # interval [s], degree, tolerance
 
 pytest.importorskip("casadi", reason="casadi is optional (extra: compiled)")
 
@@ -58,7 +59,7 @@ def test_forces_balance_what_the_motion_needs(swing, excited):
 
 
 def test_fibres_move_as_their_balance_with_the_tendon_says(swing, excited):
-    muscles = muscles_with(MuscleDynamics("tendon", *DEFAULTS), swing[0].muscles)
+    muscles = muscles_with(MuscleDynamics("tendon", *MESH), swing[0].muscles)
     elastic = [muscle for muscle in muscles if muscle.is_elastic]
     assert elastic
     for muscle in elastic:
@@ -105,7 +106,7 @@ def test_a_part_beside_a_known_rest_is_solved_as_the_whole_is(swing, kind):
     """Slopes of the cost beyond a part leave it at the optimum of the whole."""
     from mbd_ros.features.muscles.trial_program import MuscleProgram, Part
 
-    muscles = muscles_with(MuscleDynamics(kind, *DEFAULTS), swing[0].muscles)
+    muscles = muscles_with(MuscleDynamics(kind, *MESH), swing[0].muscles)
     points = Points(np.linspace(0.0, 0.4, 21), collocation(RADAU, 3))
     trial = known_trial(muscles, points)
     elastic = [i for i, muscle in enumerate(muscles) if muscle.is_elastic]
@@ -153,7 +154,7 @@ def test_a_cost_with_a_kink_has_an_optimum(swing):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        ({"interval": 0.01}, "muscles.dynamics: is missing, interval says more of it"),
+        ({"interval": 0.01}, "muscles.dynamics: is missing; interval needs it"),
         ({"dynamics": "activation", "passive": True}, "for frames one by one"),
         ({"dynamics": "all"}, "expected one of activation, tendon"),
     ],

@@ -13,8 +13,8 @@ from mbd_ros.core.state import State
 from mbd_ros.errors import ModelError
 from mbd_ros.features.muscles.static_optimization import (
     Criterion,
+    SharingOptions,
     StaticOptimization,
-    Wishes,
     shortening_rate,
 )
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions
@@ -66,15 +66,15 @@ class Walk:
             *(reserve_on(robot, self.couplings, name, optimal) for name in joints),
         ]
 
-    def solver(self, reserves, **wishes):
+    def solver(self, reserves, **sharing):
         known = self.scene.without(["muscles"]).inverse_dynamics()
         robot, muscles = self.scene.robot, self.scene.muscles
-        return StaticOptimization(robot, known, muscles, reserves, Wishes(**wishes))
+        return StaticOptimization(robot, known, muscles, reserves, SharingOptions(**sharing))
 
-    def solve(self, reserves, some=slice(None), measured=None, **wishes):
+    def solve(self, reserves, some=slice(None), measured=None, **sharing):
         motion = [values[some] for values in self.motion]
         loads = [wrench[some] for wrench in self.wrenches]
-        solver = self.solver(reserves, **wishes)
+        solver = self.solver(reserves, **sharing)
         return solver.solve(self.times[some], *motion, loads, measured)
 
 

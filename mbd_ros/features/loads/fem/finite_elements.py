@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from mbd_ros.errors import DataError
 from mbd_ros.features.loads.fem.mesh import Mesh, mass_of, read_mesh
@@ -25,19 +25,22 @@ _NOTHING: Mapping[str, str] = {}
 
 
 class MeshTask(NamedTuple):
-    """What is asked of the mesh.
+    """A solid of finite elements that takes the loads.
 
     Attributes:
-        mesh: The mesh, or its file.
-        young: Young's modulus of its material [Pa, or MPa with units mm].
-        poisson: Its Poisson's ratio [-].
-        density: [kg/m^3, or t/mm^3]; None for that which gives the mesh the mass of the body.
-        pose: Of the axes of the mesh in those of the body, see `read_mesh`.
-        attach: Load -> set of nodes, or radius about its point [m, or mm].
-        radius: Of loads that `attach` does not name; None where it names all.
-        support: Load whose nodes are held; None for the first.
-        coupling: `rigid` or `distributing`.
-        amplitudes: One step over the whole motion in place of a step an instant.
+        mesh: Mesh of solid elements, or its file, such as .msh, .vtu or .inp (extra fem).
+        young: Young's modulus [Pa, or MPa with units mm]; required with a mesh.
+        poisson: Poisson's ratio [-].
+        density: Density [kg/m^3, or t/mm^3 with units mm]. By default the mesh gets the mass of
+            the body.
+        pose: Pose of the axes of the mesh in those of the link, as x, y, z [m, or mm] and roll,
+            pitch, yaw [rad]. By default the axes are the same.
+        attach: Nodes that take a load: the name of a set, or a radius about the point of the load
+            [m, or mm].
+        radius: Radius about the point of each load that `attach` does not name [m, or mm].
+        support: Load whose nodes are fixed. By default it is the first.
+        coupling: How the nodes share a load.
+        amplitudes: Write one step over the whole motion in place of one for each instant (.inp).
     """
 
     mesh: Mesh | Path
@@ -48,7 +51,7 @@ class MeshTask(NamedTuple):
     attach: Mapping[str, str] = _NOTHING
     radius: float | None = None
     support: str | None = None
-    coupling: str = "rigid"
+    coupling: Literal["rigid", "distributing"] = "rigid"
     amplitudes: bool = False
 
 

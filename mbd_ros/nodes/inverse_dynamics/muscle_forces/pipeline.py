@@ -47,11 +47,11 @@ class MusclePipeline(Pipeline):
             raise MbdError(f"{scene.name}: muscle forces live: one fixed robot, no free bodies")
         asked = muscles_task(scene, options(values), f"{scene.name}: muscles")
         use = values.emg_use
-        wishes = asked.wishes._replace(
+        sharing = asked.sharing._replace(
             tracking=values.emg_weight if use == "track" else 0.0,
             measured_is_least=use == "least",
         )
-        optimization = replace(asked, wishes=wishes).solver(scene, is_live=True)
+        optimization = replace(asked, sharing=sharing).solver(scene, is_live=True)
         loads = asked.loads(scene)
         names = coordinate_names(scene.robot, scene.couplings)
         self._sharing = self._solver = LiveSharing(optimization, loads, names)
@@ -118,12 +118,12 @@ class MusclePipeline(Pipeline):
     def details(self) -> dict[str, str]:
         """Contents and origin of the numbers, for diagnostics."""
         asked = self._sharing.optimization
-        criterion = asked.wishes.criterion
+        criterion = asked.sharing.criterion
         return {
             **super().details(),
             "muscles": f"{len(asked.muscles)}, {len(asked.reserves)} reserves",
             "shared by": f"{criterion.kind}, exponent {criterion.exponent:g}",
-            "passive force": "takes part" if asked.wishes.passive else "left out",
+            "passive force": "takes part" if asked.sharing.passive else "left out",
             **self._sharing.details(),
         }
 
