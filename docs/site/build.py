@@ -14,6 +14,7 @@ from pathlib import Path
 import command_reference
 import node_reference
 import python_reference
+import robot_reference
 import scene_reference
 from sphinx.cmd.build import main as sphinx_build
 
@@ -26,6 +27,7 @@ GENERATED = {
     "node_reference": node_reference,
     "command_reference": command_reference,
     "python_reference": python_reference,
+    "robot_reference": robot_reference,
 }
 GROUP_OF_GENERATED = "Reference"
 OF_PROJECT = ("CONTRIBUTING", "CHANGELOG")

@@ -48,7 +48,7 @@ def site(tmp_path_factory):
 
 def test_every_page_and_every_reference_is_there(site):
     pages = {page.stem for page in ROOT.glob("docs/*.md")} | {"CHANGELOG", "CONTRIBUTING"}
-    made = {f"{what}_reference" for what in ("command", "node", "python", "scene")}
+    made = {f"{what}_reference" for what in ("command", "node", "python", "robot", "scene")}
     assert {f"{name}.html" for name in pages | made} <= site.keys()
 
 
