@@ -211,5 +211,5 @@ def test_matrices_that_do_not_fit_are_named(given, said):
 def test_a_prior_that_is_no_covariance_is_refused():
     with pytest.raises(ModelError, match="P has shape"):
         Kalman(process()).begin(np.zeros(2), np.eye(3))
-    with pytest.raises(ModelError, match="bounds of disturbances"):
+    with pytest.raises(ModelError, match="lower and upper must be one number or"):
         MovingHorizon(process(), lower=(0.0, 1.0, 2.0))
