@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.contracts import Output, without_multiplier
-from mbd_ros.core.kinematics.poses import with_steady_signs, world_pose
+from mbd_ros.core.kinematics.poses import with_continuous_signs, world_pose
 from mbd_ros.core.model.robot import Joint, Robot
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.state import Array, BodyMotion
@@ -54,7 +54,7 @@ def body_columns(
     """
     columns = []
     for base, (q, v, a) in zip(robot.bases, motions, strict=True):
-        pose = with_steady_signs(world_pose(robot, q))
+        pose = with_continuous_signs(world_pose(robot, q))
         columns += motion_columns(BodyMotion(base.name, pose, v, a), base.frame)
     return columns
 

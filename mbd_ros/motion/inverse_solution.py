@@ -55,7 +55,7 @@ def solve_motion(scene: Scene, task: Task, say: Say) -> Solved:
         for text in external.remarks:
             say(text)
     where = name_of(task.motion)
-    for text in scene.robot.doubts:
+    for text in scene.robot.inertia_warnings:
         say(f"warning: {text}")
     given = set(scene.wrenches)
     scene, known, ground = _known_contacts(scene, task, say)

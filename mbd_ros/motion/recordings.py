@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.kinematics.poses import with_steady_signs
+from mbd_ros.core.kinematics.poses import with_continuous_signs
 from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
@@ -226,7 +226,7 @@ def _body(table: Table, where: str, name: str) -> BodyMotion:
             f"{where}: {name}.orientation at {table[TIME][lost[0]]:.9g} s has the length "
             f"{length[lost[0]]:.3g}, a quaternion has 1"
         )
-    return BodyMotion(name, with_steady_signs(pose), twist, acceleration)
+    return BodyMotion(name, with_continuous_signs(pose), twist, acceleration)
 
 
 def read_columns(

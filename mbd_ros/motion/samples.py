@@ -154,7 +154,7 @@ def read_recording(
         required=needed,
         bodies=bodies,
         members=scene.robot.members,
-        sliding=scene.robot.sliding,
+        sliding=scene.robot.prismatic_joints,
         assumed=lambda name: float(scene.initial.q[scene.robot.joint(name).q]),
     )
     for text in _storage_lines(where, recording, scene.robot.locked):

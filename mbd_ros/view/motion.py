@@ -57,7 +57,7 @@ def viewed_motion(
         required=scene.couplings.independent,
         bodies={base.name: base.frame for base in robot.bases},
         members=robot.members,
-        sliding=robot.sliding,
+        sliding=robot.prismatic_joints,
     ).motion
     count = len(motion.stamps)
     if not 0 < count <= _MOST:

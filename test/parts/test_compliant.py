@@ -172,7 +172,7 @@ def test_a_bristle_does_not_walk_under_a_load_that_swings():
 def test_a_bristle_that_slips_lags_by_its_share_of_the_load():
     """Dragged along a circle at a large distance, the deflection follows the slip."""
     part = block(BRISTLE, [(0.0, 0.0), (1.0, 0.0)]).parts["contacts"][0]
-    law, limit = part.rubbing, 5.0
+    law, limit = part.friction_law, 5.0
     z, dt = (0.0, 0.0), 1e-5
     for step in range(20000):
         angle = 1e-3 * step

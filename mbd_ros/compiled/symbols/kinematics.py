@@ -89,7 +89,7 @@ class SymbolicKinematics:
         """From joint velocities to velocity and angular velocity of a point, shape (6, nv)."""
         return self._columns(point, lambda v: v)
 
-    def own_jacobian(self, point: Point) -> Any:
+    def local_jacobian(self, point: Point) -> Any:
         """The `spatial_jacobian` in the axes of the point, shape (6, nv)."""
         to_own = turns.transposed(self.axes(point))
         return self._columns(point, lambda v: turns.through(to_own, v))
@@ -100,7 +100,7 @@ class SymbolicKinematics:
             self._pairs[pair.number] = SymbolicPairMotion(self, pair)
         return self._pairs[pair.number]
 
-    def carried(self, wrench: Any, a: Point, b: Point) -> Any:
+    def transform_wrench(self, wrench: Any, a: Point, b: Point) -> Any:
         """A wrench about a in the axes of a, as one about b in the axes of b, shape (6,)."""
         given = [ca.SX(plain(one)) for one in wrench]
         R, to_b = self.axes(a), turns.transposed(self.axes(b))
@@ -115,7 +115,7 @@ class SymbolicKinematics:
         on_links = needed(self._tree, placed, still, None, turns.vector(-self._tree.gravity))
         return objects(joint_forces(self._tree, placed, on_links))
 
-    def searched(self, path: Any, x: Any) -> Any:
+    def search_path(self, path: Any, x: Any) -> Any:
         """What a path finds by a search at a state, which is left to native code."""
         return self.searches.taut(path, self, x)
 

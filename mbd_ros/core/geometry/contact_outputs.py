@@ -28,7 +28,7 @@ _AT_BOUND = 1.0 - 1.0e-9  # of the largest friction: from here on it slips
 _PRESSED = 1.0e-6  # of the largest force of a contact: a feature with less decides nothing
 
 
-class ContactShow:
+class ContactOutputs:
     """Outputs of a contact and their values.
 
     `gap` is the smallest distance, `state` is 0 where nothing touches, 2 where friction is inside

@@ -116,7 +116,7 @@ class Kinematics:
         """From joint velocities to velocity and angular velocity of a point, shape (6, nv)."""
         return self._spatial_jacobian[point.number]()
 
-    def own_jacobian(self, point: Point) -> Array:
+    def local_jacobian(self, point: Point) -> Array:
         """The `spatial_jacobian` in the axes of the point, shape (6, nv)."""
         return self._own_jacobian[point.number]()
 
@@ -124,7 +124,7 @@ class Kinematics:
         """Motion of b as an observer on a sees it."""
         return self._motion[pair.number]
 
-    def carried(self, wrench: Array, a: Point, b: Point) -> Array:
+    def transform_wrench(self, wrench: Array, a: Point, b: Point) -> Array:
         """A wrench about a in the axes of a, as one about b in the axes of b, shape (6,).
 
         Args:
@@ -147,7 +147,7 @@ class Kinematics:
         """A vector as the only row of a matrix, shape (1, n)."""
         return vector.reshape(1, -1)
 
-    def searched(self, path: Any, x: Any) -> Any:
+    def search_path(self, path: Any, x: Any) -> Any:
         """What a path finds by a search at a state, which symbols leave to native code."""
         return path.search(self, x)
 

@@ -131,7 +131,7 @@ def rotation_vector(R: Array) -> Array:
     return np.asarray(pin.log3(R))
 
 
-def with_steady_signs(poses: Array) -> Array:
+def with_continuous_signs(poses: Array) -> Array:
     """Poses in the order of time, each quaternion of the sign of the one before.
 
     Args:

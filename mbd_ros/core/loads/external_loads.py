@@ -65,7 +65,7 @@ class ExternalWrench(Load):
         Args:
             wrench: Force [N] then torque [N·m] in `expressed_in`, shape (6,).
         """
-        return k.carried(wrench, self.about, self.carrier)
+        return k.transform_wrench(wrench, self.about, self.carrier)
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Generalized force, shape (nv,)."""
@@ -87,7 +87,7 @@ class ExternalWrench(Load):
             return k.zeros(self._nv)
         return k.either(
             self._acts(k, wrench),
-            lambda: k.dot(self.in_body(k, wrench), k.own_jacobian(self.carrier)),
+            lambda: k.dot(self.in_body(k, wrench), k.local_jacobian(self.carrier)),
             lambda: k.zeros(self._nv),
         )
 

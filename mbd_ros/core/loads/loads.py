@@ -167,7 +167,7 @@ class BodyLoads:
         carrier = self._robot.carrier(wrench.frame)
         about_origin = wrench.torque + np.cross(wrench.point, wrench.force)
         whole = np.concatenate((wrench.force, about_origin))
-        self._add(carrier, k.carried(whole, self._origin, carrier))
+        self._add(carrier, k.transform_wrench(whole, self._origin, carrier))
 
     def _add(self, carrier: Point, load: Array) -> None:
         body = self._robot.places.points[carrier.number].joint

@@ -19,7 +19,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array
 
 COUNT = 10  # numbers a body
-PLACES = ("mass", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
+PARAMETER_NAMES = ("mass", "mcx", "mcy", "mcz", "Ixx", "Ixy", "Iyy", "Ixz", "Iyz", "Izz")
 _MOMENTS = {4: (0, 0), 5: (0, 1), 6: (1, 1), 7: (0, 2), 8: (1, 2), 9: (2, 2)}
 
 
@@ -80,18 +80,20 @@ def inertia_of(parameters: Array) -> Any:
     return pin.Inertia.FromDynamicParameters(parameters)
 
 
-def moved_numbers(placement: Any) -> Array:
+def parameter_transformation(placement: Any) -> Array:
     """Numbers in other axes, as a matrix: p' = B p with P' = H P H', shape (10, 10).
 
     Args:
         placement: `pinocchio.SE3` of the old axes in the new ones, H as a matrix.
     """
     H = np.asarray(placement.homogeneous)
-    columns = [numbers_of(H @ pseudo_inertia(unit) @ H.T) for unit in np.eye(COUNT)]
+    columns = [
+        parameters_of_pseudo_inertia(H @ pseudo_inertia(unit) @ H.T) for unit in np.eye(COUNT)
+    ]
     return np.array(columns).T
 
 
-def numbers_of(P: Array) -> Array:
+def parameters_of_pseudo_inertia(P: Array) -> Array:
     """Inverse of `pseudo_inertia`, shape (10,)."""
     moments = np.trace(P[:3, :3]) * np.eye(3) - P[:3, :3]
     tensor = [moments[i, j] for i, j in _MOMENTS.values()]

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.robot import BASE, FAR, WORLD, Base, Joint, Mimic, Recipe, Robot
+from mbd_ros.core.model.robot import BASE, FAR, WORLD, Base, Joint, Mimic, ModelSource, Robot
 from mbd_ros.core.model.urdf import MAX_JOINTS, parse_urdf, root_link
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
@@ -37,18 +37,20 @@ def merged(robots: Sequence[Robot], gravity: Sequence[float]) -> Robot:
     model = _model(members, origin)
     model.gravity.linear = np.array(gravity, dtype=np.float64)
     return Robot(
-        name=", ".join(m.recipe.name or m.robot.name for m in members),
+        name=", ".join(m.model_source.name or m.robot.name for m in members),
         model=model,
         joints=tuple(_joint(m, joint) for m in members for joint in m.robot.joints),
-        mimics=tuple(_mimic(m.recipe, mimic) for m in members for mimic in m.robot.mimics),
+        mimics=tuple(_mimic(m.model_source, mimic) for m in members for mimic in m.robot.mimics),
         bases=tuple(_base(m, b, model, origin) for m in members for b in m.robot.bases),
         locked=_scoped(members, [robot.locked for robot in robots]),
-        fixed=frozenset(m.recipe.scoped(name) for m in members for name in m.robot.fixed),
-        doubts=tuple(m.recipe.titled(doubt) for m in members for doubt in m.robot.doubts),
-        rubbing=_scoped(members, [robot.rubbing for robot in robots]),
-        ignored=tuple(m.recipe.titled(text) for m in members for text in m.robot.ignored),
+        fixed=frozenset(m.model_source.scoped(name) for m in members for name in m.robot.fixed),
+        inertia_warnings=tuple(
+            m.model_source.titled(doubt) for m in members for doubt in m.robot.inertia_warnings
+        ),
+        joint_friction=_scoped(members, [robot.joint_friction for robot in robots]),
+        ignored=tuple(m.model_source.titled(text) for m in members for text in m.robot.ignored),
         origin=origin,
-        recipes=tuple(m.recipe for m in members),
+        model_sources=tuple(m.model_source for m in members),
         places=Places(model),
     )
 
@@ -56,16 +58,16 @@ def merged(robots: Sequence[Robot], gravity: Sequence[float]) -> Robot:
 def _members(robots: Sequence[Robot]) -> list[_Member]:
     members, q, v = list[_Member](), 0, 0
     for robot in robots:
-        (recipe,) = robot.recipes
-        root = root_link(parse_urdf(recipe.text, recipe.source))
-        members.append(_Member(recipe, robot, root, q, v))
+        (model_source,) = robot.model_sources
+        root = root_link(parse_urdf(model_source.text, model_source.source))
+        members.append(_Member(model_source, robot, root, q, v))
         q, v = q + int(robot.model.nq), v + int(robot.model.nv)
     return members
 
 
 def _check(members: Sequence[_Member]) -> None:
     """Refuse names that stand for two things, and more joints than Pinocchio's data holds."""
-    names = [member.recipe.name for member in members]
+    names = [member.model_source.name for member in members]
     for name in names:
         if name in _RESERVED or names.count(name) > 1:
             reason = "stands for something else" if name in _RESERVED else "is given twice"
@@ -78,7 +80,7 @@ def _check(members: Sequence[_Member]) -> None:
     taken = set[str]()
     for member in members:
         own = {_frame_name(member, frame) for frame in list(member.robot.model.frames)[1:]}
-        own.add(member.recipe.name)
+        own.add(member.model_source.name)
         if doubled := sorted((own & taken) - {""}):
             raise ModelError(f"'{doubled[0]}' is the name of two frames")
         taken |= own
@@ -86,7 +88,7 @@ def _check(members: Sequence[_Member]) -> None:
 
 def _frame_name(member: _Member, frame: Any) -> str:
     is_link = frame.type == pin.FrameType.BODY
-    return member.link(frame.name) if is_link else member.recipe.scoped(frame.name)
+    return member.link(frame.name) if is_link else member.model_source.scoped(frame.name)
 
 
 def _origin(members: Sequence[_Member]) -> Array:
@@ -95,25 +97,29 @@ def _origin(members: Sequence[_Member]) -> Array:
     if first is None:
         return np.zeros(3)
     place: Array = first.robot.model.jointPlacements[1].translation + first.robot.origin
-    if first.recipe.pose is not None:
-        place = first.recipe.pose.act(place)
+    if first.model_source.pose is not None:
+        place = first.model_source.pose.act(place)
     return place if np.linalg.norm(place) > FAR else np.zeros(3)
 
 
 def _model(members: Sequence[_Member], origin: Array) -> Any:
     model = pin.Model()
     for member in members:
-        recipe, own = member.recipe, member.robot.model.copy()
-        own.names[:] = ["universe", *(recipe.scoped(name) for name in list(own.names)[1:])]
+        model_source, own = member.model_source, member.robot.model.copy()
+        own.names[:] = ["universe", *(model_source.scoped(name) for name in list(own.names)[1:])]
         for frame in list(own.frames)[1:]:
             frame.name = _frame_name(member, frame)
         model = pin.appendModel(model, own, 0, _placement(member, origin))
-        if recipe.name and not model.existFrame(recipe.name):
+        if model_source.name and not model.existFrame(model_source.name):
             root = model.frames[model.getFrameId(member.link(member.root), pin.FrameType.BODY)]
             parent = model.getFrameId(root.name, pin.FrameType.BODY)
             model.addFrame(
                 pin.Frame(
-                    recipe.name, root.parentJoint, parent, root.placement, pin.FrameType.OP_FRAME
+                    model_source.name,
+                    root.parentJoint,
+                    parent,
+                    root.placement,
+                    pin.FrameType.OP_FRAME,
                 )
             )
     model.frames[0].placement = pin.SE3(np.eye(3), -origin)
@@ -124,34 +130,36 @@ def _placement(member: _Member, origin: Array) -> Any:
     """Of the axes in which a member was read, in those of the model; a free one stands in q."""
     if member.robot.bases:
         return pin.SE3.Identity()
-    pose = pin.SE3.Identity() if member.recipe.pose is None else member.recipe.pose
+    pose = pin.SE3.Identity() if member.model_source.pose is None else member.model_source.pose
     return pin.SE3(pose.rotation, pose.act(member.robot.origin) - origin)
 
 
 def _joint(member: _Member, joint: Joint) -> Joint:
-    scoped = member.recipe.scoped
+    scoped = member.model_source.scoped
     return replace(
         joint,
         name=scoped(joint.name),
         urdf_name=scoped(joint.urdf_name),
         q=joint.q + member.q,
         v=joint.v + member.v,
-        member=member.recipe.name,
+        member=member.model_source.name,
     )
 
 
-def _mimic(recipe: Recipe, mimic: Mimic) -> Mimic:
-    return replace(mimic, joint=recipe.scoped(mimic.joint), parent=recipe.scoped(mimic.parent))
+def _mimic(model_source: ModelSource, mimic: Mimic) -> Mimic:
+    return replace(
+        mimic, joint=model_source.scoped(mimic.joint), parent=model_source.scoped(mimic.parent)
+    )
 
 
 def _base(member: _Member, base: Base, model: Any, origin: Array) -> Base:
-    recipe, joint = member.recipe, member.robot.model.names[base.joint]
-    start = base.start if recipe.pose is None else pin.SE3ToXYZQUAT(recipe.pose)
+    model_source, joint = member.model_source, member.robot.model.names[base.joint]
+    start = base.start if model_source.pose is None else pin.SE3ToXYZQUAT(model_source.pose)
     return Base(
-        name=recipe.name or base.name,
+        name=model_source.name or base.name,
         q=slice(base.q.start + member.q, base.q.stop + member.q),
         v=slice(base.v.start + member.v, base.v.stop + member.v),
-        joint=int(model.getJointId(recipe.scoped(joint))),
+        joint=int(model.getJointId(model_source.scoped(joint))),
         frame=member.link(base.frame),
         start=np.concatenate((start[:3] - origin, start[3:])),
     )
@@ -159,21 +167,21 @@ def _base(member: _Member, base: Base, model: Any, origin: Array) -> Base:
 
 def _scoped(members: Sequence[_Member], given: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     pairs = zip(members, given, strict=True)
-    return {m.recipe.scoped(name): value for m, own in pairs for name, value in own.items()}
+    return {m.model_source.scoped(name): value for m, own in pairs for name, value in own.items()}
 
 
 class _Member(NamedTuple):
     """A robot or body, and where it goes.
 
     Attributes:
-        recipe: What it was read from.
+        model_source: What it was read from.
         robot: It by itself.
         root: Its root link.
         q: Where its coordinates begin in a configuration of all.
         v: Where they begin in a velocity of all.
     """
 
-    recipe: Recipe
+    model_source: ModelSource
     robot: Robot
     root: str
     q: int
@@ -181,5 +189,5 @@ class _Member(NamedTuple):
 
     def link(self, name: str) -> str:
         """What a link is called in the scene: the root may have the name of the member."""
-        recipe = self.recipe
-        return name if name == self.root == recipe.name else recipe.scoped(name)
+        model_source = self.model_source
+        return name if name == self.root == model_source.name else model_source.scoped(name)

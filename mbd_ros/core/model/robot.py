@@ -33,13 +33,13 @@ class Robot:
         bases: Links that move freely, in the order of their coordinates.
         locked: Position [rad or m] of every joint that was frozen and removed.
         fixed: Names of the joints that never move.
-        doubts: Inertias that no body has and that can be used nevertheless, a line a link.
-        rubbing: The `<dynamics>` of joints; no force until a part of the scene brings it.
+        inertia_warnings: Implausible inertias that can be used nevertheless, one line per link.
+        joint_friction: The `<dynamics>` of joints; no force until a part of the scene brings it.
         ignored: Other contents of the description, which this package leaves out.
         origin: Point from which positions in the model count, those of free bodies too, in the
             world [m], shape (3,): 0, or the first joint of a fixed base that is more than 2 m
             away.
-        recipes: What its robots and bodies were read from.
+        model_sources: What its robots and bodies were read from.
         places: Points that parts have asked for.
     """
 
@@ -50,17 +50,17 @@ class Robot:
     bases: tuple[Base, ...]
     locked: Mapping[str, float]
     fixed: frozenset[str]
-    doubts: tuple[str, ...]
-    rubbing: Mapping[str, Rubbing]
+    inertia_warnings: tuple[str, ...]
+    joint_friction: Mapping[str, FrictionCoefficients]
     ignored: tuple[str, ...]
     origin: Array
-    recipes: tuple[Recipe, ...]
+    model_sources: tuple[ModelSource, ...]
     places: Places = field(compare=False)
 
     @property
     def source(self) -> str:
         """File or topic of the description, or of the descriptions."""
-        return ", ".join(recipe.source for recipe in self.recipes)
+        return ", ".join(model_source.source for model_source in self.model_sources)
 
     @property
     def base_text(self) -> str:
@@ -93,7 +93,7 @@ class Robot:
         return frozenset(joint.member for joint in self.joints if joint.member)
 
     @property
-    def sliding(self) -> frozenset[str]:
+    def prismatic_joints(self) -> frozenset[str]:
         """Names of the joints that slide."""
         return frozenset(joint.name for joint in self.joints if joint.kind == "prismatic")
 
@@ -153,7 +153,7 @@ class Robot:
         there = pin.SE3(rotation_matrix(rpy), np.array(xyz, dtype=np.float64))
         return self.places.point(frame, Place(int(link.parentJoint), link.placement * there))
 
-    def turned(self, point: Point, rotation: Array) -> Point:
+    def rotated(self, point: Point, rotation: Array) -> Point:
         """The same point with axes that are turned in its own, rotation of shape (3, 3)."""
         joint, at = self.places.points[point.number]
         turn = pin.SE3(rotation, np.zeros(3))
@@ -180,12 +180,12 @@ class Robot:
     def inertias(self) -> dict[str, Any]:
         """Link -> `pinocchio.Inertia` in the axes of the link, 0 where it has none."""
         inertias = {}
-        for recipe in self.recipes:
-            tree = parse_urdf(recipe.text, recipe.source, recipe.inertias)
+        for model_source in self.model_sources:
+            tree = parse_urdf(model_source.text, model_source.source, model_source.inertias)
             root = root_link(tree)
             for link, inertia in inertias_of(tree).items():
-                is_named = link == root and bool(recipe.name)
-                inertias[recipe.name if is_named else recipe.scoped(link)] = inertia
+                is_named = link == root and bool(model_source.name)
+                inertias[model_source.name if is_named else model_source.scoped(link)] = inertia
         return inertias
 
     def __repr__(self) -> str:
@@ -277,7 +277,7 @@ class Mimic:
     offset: float
 
 
-class Rubbing(NamedTuple):
+class FrictionCoefficients(NamedTuple):
     """A `<dynamics>` of the description.
 
     Attributes:
@@ -289,7 +289,7 @@ class Rubbing(NamedTuple):
     damping: float
 
 
-class Recipe(NamedTuple):
+class ModelSource(NamedTuple):
     """One robot or body of a scene, before it is read.
 
     Attributes:

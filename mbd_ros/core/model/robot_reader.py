@@ -15,7 +15,16 @@ import numpy as np
 import pinocchio as pin
 
 from mbd_ros.core.model.points import Places
-from mbd_ros.core.model.robot import BASE, FAR, Base, Joint, Mimic, Recipe, Robot, Rubbing
+from mbd_ros.core.model.robot import (
+    BASE,
+    FAR,
+    Base,
+    FrictionCoefficients,
+    Joint,
+    Mimic,
+    ModelSource,
+    Robot,
+)
 from mbd_ros.core.model.urdf import (
     check_inertias,
     has_effort_limit,
@@ -57,26 +66,28 @@ def read_robot(
         ModelError: The description cannot be trusted, or an option names a joint that is not
             there.
     """
-    return read_recipe(Recipe(text, source, base, locked, rename, inertias), gravity)
+    return read_model_source(ModelSource(text, source, base, locked, rename, inertias), gravity)
 
 
-def read_recipe(recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY) -> Robot:
+def read_model_source(
+    model_source: ModelSource, gravity: Sequence[float] = EARTH_GRAVITY
+) -> Robot:
     """One robot or body by itself, its links and joints called as in its description.
 
     Args:
-        recipe: What it is read from; its name and pose are those of a scene, and left aside.
+        model_source: What it is read from; its name and pose are those of a scene, and left aside.
         gravity: Acceleration of gravity in the world frame [m/s^2], shape (3,).
 
     Raises:
         ModelError: The description cannot be trusted, or an option names an unknown joint.
     """
-    text, source, base = recipe[:3]
+    text, source, base = model_source[:3]
     if base not in BASES:
         raise ModelError(f"base '{base}', accepted: {', '.join(BASES)}")
-    tree = parse_urdf(text, source, recipe.inertias)
-    doubts = check_inertias(tree, source, recipe.any_inertias)
-    names = _topic_names(tree, recipe.rename or {}, source)
-    locked = dict(recipe.locked or {})
+    tree = parse_urdf(text, source, model_source.inertias)
+    doubts = check_inertias(tree, source, model_source.any_inertias)
+    names = _topic_names(tree, model_source.rename or {}, source)
+    locked = dict(model_source.locked or {})
     kinds = joint_kinds(tree)
     fixed = frozenset(names[joint] for joint, kind in kinds.items() if kind == "fixed")
     mimics = _mimics(tree, names, source)
@@ -94,11 +105,11 @@ def read_recipe(recipe: Recipe, gravity: Sequence[float] = EARTH_GRAVITY) -> Rob
         bases=_bases(model, root_link(tree)),
         locked=locked,
         fixed=fixed,
-        doubts=doubts,
-        rubbing=_rubbing(tree, names),
+        inertia_warnings=doubts,
+        joint_friction=_rubbing(tree, names),
         ignored=("URDF <transmission>",) if tree.find("transmission") is not None else (),
         origin=origin,
-        recipes=(recipe,),
+        model_sources=(model_source,),
         places=Places(model),
     )
 
@@ -274,36 +285,42 @@ def _bases(model: Any, link: str) -> tuple[Base, ...]:
     )
 
 
-def _rubbing(tree: ElementTree.Element, names: Mapping[str, str]) -> dict[str, Rubbing]:
+def _rubbing(
+    tree: ElementTree.Element, names: Mapping[str, str]
+) -> dict[str, FrictionCoefficients]:
     found = {}
     for joint in tree.findall("joint"):
         element = joint.find("dynamics")
-        rub = Rubbing(numbers(element, "friction", "0")[0], numbers(element, "damping", "0")[0])
+        rub = FrictionCoefficients(
+            numbers(element, "friction", "0")[0], numbers(element, "damping", "0")[0]
+        )
         if any(rub):
             found[names[joint.get("name", "")]] = rub
     return found
 
 
-def read_robots(recipes: Sequence[Recipe], gravity: Sequence[float] = EARTH_GRAVITY) -> Robot:
+def read_robots(
+    model_sources: Sequence[ModelSource], gravity: Sequence[float] = EARTH_GRAVITY
+) -> Robot:
     """The only robot of a scene, or all robots and bodies as one.
 
     Args:
-        recipes: The robots and bodies, in the order of their coordinates.
+        model_sources: The robots and bodies, in the order of their coordinates.
         gravity: Acceleration of gravity in the world frame [m/s^2], shape (3,).
 
     Raises:
         ModelError: A description cannot be trusted, or a name stands for two things.
     """
-    if len(recipes) == 1 and not recipes[0].name and recipes[0].pose is None:
-        return read_recipe(recipes[0], gravity)
+    if len(model_sources) == 1 and not model_sources[0].name and model_sources[0].pose is None:
+        return read_model_source(model_sources[0], gravity)
     from mbd_ros.core.model.members import merged
 
     robots = []
-    for recipe in recipes:
+    for model_source in model_sources:
         try:
-            robots.append(read_recipe(recipe, gravity))
+            robots.append(read_model_source(model_source, gravity))
         except ModelError as error:
-            raise ModelError(recipe.titled(str(error))) from error
+            raise ModelError(model_source.titled(str(error))) from error
     return merged(robots, gravity)
 
 
@@ -318,19 +335,23 @@ def with_inertias(robot: Robot, inertias: Mapping[str, Any]) -> Robot:
     Raises:
         ModelError: There is no such link, or no body can have the inertia.
     """
-    left, recipes = dict(inertias), dict[str, Recipe]()
-    for recipe in sorted(robot.recipes, key=lambda recipe: not recipe.name):  # without name last
-        start = recipe.scoped("")
+    left, model_sources = dict(inertias), dict[str, ModelSource]()
+    for model_source in sorted(
+        robot.model_sources, key=lambda model_source: not model_source.name
+    ):  # without name last
+        start = model_source.scoped("")
         own = {link: left.pop(link) for link in list(left) if link.startswith(start)}
         given = {link.removeprefix(start): inertia for link, inertia in own.items()}
-        if recipe.name in left:
-            root = root_link(parse_urdf(recipe.text, recipe.source))
-            given[root] = left.pop(recipe.name)
-        recipes[recipe.name] = recipe._replace(inertias={**(recipe.inertias or {}), **given})
+        if model_source.name in left:
+            root = root_link(parse_urdf(model_source.text, model_source.source))
+            given[root] = left.pop(model_source.name)
+        model_sources[model_source.name] = model_source._replace(
+            inertias={**(model_source.inertias or {}), **given}
+        )
     if left:
         known = ", ".join(robot.inertias())
         raise ModelError(f"no link '{next(iter(left))}'; the links are {known}")
-    ordered = [recipes[recipe.name] for recipe in robot.recipes]
+    ordered = [model_sources[model_source.name] for model_source in robot.model_sources]
     heavier = read_robots(ordered, robot.model.gravity.linear.tolist())
     heavier.model.armature = robot.model.armature.copy()  # of drives, which no description has
     return heavier

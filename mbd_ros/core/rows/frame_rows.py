@@ -294,7 +294,7 @@ def plane_of(robot: Robot, point: Point, normal: Sequence[float]) -> Point:
     """The point of a plane, with z along a normal that stands in its axes."""
     along = np.array(normal, dtype=np.float64)
     along = along / np.abs(along).max()  # so that its square neither vanishes nor overflows
-    return robot.turned(point, _turned(along / np.linalg.norm(along)))
+    return robot.rotated(point, _turned(along / np.linalg.norm(along)))
 
 
 def _turned(normal: Array) -> Array:

@@ -399,7 +399,7 @@ def recorded(scene: Scene, motion: Source) -> Recorded:
     robot, couplings = scene.robot, scene.couplings
     names, driven = couplings.independent, scene.actuated
     every = tuple(dict.fromkeys((*names, *driven)))
-    found = read_motion(motion, every, required=names, sliding=robot.sliding).motion
+    found = read_motion(motion, every, required=names, sliding=robot.prismatic_joints).motion
     if found.velocity is None or np.isnan(found.velocity[:, : len(names)]).any():
         raise DataError(f"no velocities of {', '.join(names)}")
     lists = [found.command, found.effort]

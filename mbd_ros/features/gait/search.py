@@ -235,7 +235,7 @@ class SceneFamily:
             scene = with_sections(self.scene, robot={**robot, "gravity": gravity})
         else:
             scene = with_sections(self.scene, gravity=gravity)
-        changed = any(recipe.inertias for recipe in self.scene.robot.recipes)
+        changed = any(model_source.inertias for model_source in self.scene.robot.model_sources)
         return with_inertias(scene, self.scene.robot.inertias()) if changed else scene
 
     def _turned(self) -> tuple[float, float, float]:

@@ -349,11 +349,11 @@ def description_of(scene: Scene) -> str:
     Raises:
         SceneError: There are several robots or bodies.
     """
-    recipes = scene.robot.recipes
-    if len(recipes) != 1 or recipes[0].name or recipes[0].shape:
+    model_sources = scene.robot.model_sources
+    if len(model_sources) != 1 or model_sources[0].name or model_sources[0].shape:
         raise SceneError(f"{scene.name}: files are written of scenes with one robot; use Python")
-    tree = xml_tree(recipes[0].text)
-    place_inertias(tree, recipes[0].inertias or {}, recipes[0].source)
+    tree = xml_tree(model_sources[0].text)
+    place_inertias(tree, model_sources[0].inertias or {}, model_sources[0].source)
     return ElementTree.tostring(tree, encoding="unicode")
 
 

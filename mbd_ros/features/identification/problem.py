@@ -15,8 +15,8 @@ from mbd_ros.core.model.couplings import IndependentCoordinates
 from mbd_ros.core.model.inertial_parameters import (
     COUNT,
     inertia_of,
-    moved_numbers,
     moving_bodies,
+    parameter_transformation,
     parameters_of,
 )
 from mbd_ros.core.state import Array
@@ -292,7 +292,7 @@ def _carried(scene: Scene, frame: str, numbers: Sequence[float]) -> Array:
     load = pin.Inertia(mass, np.array([x, y, z]), np.diag(moments or [0.0, 0.0, 0.0]))
     own = load.toDynamicParameters()
     found = np.zeros(COUNT * (model.njoints - 1))
-    found[COUNT * (joint - 1) : COUNT * joint] = moved_numbers(link.placement) @ own
+    found[COUNT * (joint - 1) : COUNT * joint] = parameter_transformation(link.placement) @ own
     return found
 
 

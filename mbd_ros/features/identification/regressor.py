@@ -22,7 +22,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from mbd_ros.core.model.couplings import Couplings, IndependentCoordinates
-from mbd_ros.core.model.inertial_parameters import COUNT, PLACES, parameters_of
+from mbd_ros.core.model.inertial_parameters import COUNT, PARAMETER_NAMES, parameters_of
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SINGULAR
@@ -36,7 +36,7 @@ TERMS = ("viscous", "coulomb", "offset", "load", "stribeck", "inertia")
 OF_SEVERAL = ("viscous", "coulomb", "offset", "stribeck")  # of a motor that several joints turn
 # In a body: what others give comes last, so that masses join the moments that they add to.
 _ORDER = tuple(
-    PLACES.index(place)
+    PARAMETER_NAMES.index(place)
     for place in ("Ixx", "Ixy", "Ixz", "Iyy", "Iyz", "Izz", "mcx", "mcy", "mcz", "mass")
 )
 _ROUNDED = 1.0e-9  # of the largest factor in a combination: what rounding leaves of none
@@ -431,7 +431,7 @@ def expressions(base: BaseParameters, bodies: Sequence[str]) -> list[str]:
 
 def _term(factor: float, number: int, bodies: Sequence[str]) -> str:
     sign, size = "-" if factor < 0 else "+", abs(factor)
-    text = f"{_symbol(PLACES[number % COUNT], bodies[number // COUNT])}"
+    text = f"{_symbol(PARAMETER_NAMES[number % COUNT], bodies[number // COUNT])}"
     is_one = abs(size - 1.0) < _ROUNDED
     if (" + " in text or " - " in text) and not (is_one and factor > 0):
         text = f"({text})"
@@ -455,4 +455,4 @@ def _symbol(place: str, body: str) -> str:
 
 def parameter_name(number: int, bodies: Sequence[str]) -> str:
     """Name of a number, such as `shank.Izz`; moments are about the joint."""
-    return f"{bodies[number // COUNT]}.{PLACES[number % COUNT]}"
+    return f"{bodies[number // COUNT]}.{PARAMETER_NAMES[number % COUNT]}"

@@ -169,7 +169,7 @@ class _Pieces:
 
     def lines(self) -> list[str]:
         """For people, in the order of a motion that is read as a whole."""
-        doubts = (f"warning: {text}" for text in self._scene.robot.doubts)
+        doubts = (f"warning: {text}" for text in self._scene.robot.inertia_warnings)
         source = self._source
         return [*doubts, *source.lines(), *self._violations.lines(), *source.last_lines()]
 

@@ -27,7 +27,7 @@ from mbd_ros.core.kinematics.paths.paths import Path
 from mbd_ros.core.kinematics.poses import cross
 from mbd_ros.core.loads.external_loads import ExternalWrench
 from mbd_ros.core.loads.loads import BodyLoads
-from mbd_ros.core.model.robot import WORLD, Recipe, Robot
+from mbd_ros.core.model.robot import WORLD, ModelSource, Robot
 from mbd_ros.core.model.robot_reader import root_link
 from mbd_ros.core.model.urdf import link_name, parse_urdf
 from mbd_ros.core.rows.constraint import Kind
@@ -141,7 +141,7 @@ class FreeBody:
                 force, torque = one.wrench.force, one.wrench.torque
                 about = torque + cross(one.wrench.point, force)
                 whole = np.concatenate((force, about))
-                carried = self.k.carried(whole, self._origin, self._carrier)
+                carried = self.k.transform_wrench(whole, self._origin, self._carrier)
                 needed[link] = needed[link] - pin.Force(carried)
         return needed
 
@@ -251,14 +251,14 @@ class TiedLinks:
         by_v = {joint.v: joint.name for joint in robot.joints}
         names = {i: by_v.get(int(j.idx_v), RESIDUAL) for i, j in enumerate(robot.model.joints)}
         self.edges: dict[int, Edge] = {}
-        for recipe in robot.recipes:
-            for name, parent, child in _joints(recipe):
+        for model_source in robot.model_sources:
+            for name, parent, child in _joints(model_source):
                 above = robot.frame(parent) if parent else 0
                 below = robot.frame(child)
                 joint = int(self._frames[below].parentJoint)
                 if joint == int(self._frames[above].parentJoint):
                     joint = 0
-                called = names[joint] if joint else recipe.scoped(name) if parent else WORLD
+                called = names[joint] if joint else model_source.scoped(name) if parent else WORLD
                 self.edges[below] = Edge(called, joint, above, below)
 
     def link_of(self, frame: int) -> int:
@@ -320,16 +320,18 @@ class TiedLinks:
                 raise ModelError(f"joint '{name}' is none of this body; its joints are {there}")
 
 
-def _joints(recipe: Recipe) -> Iterator[tuple[str, str, str]]:
+def _joints(model_source: ModelSource) -> Iterator[tuple[str, str, str]]:
     """Every joint as described, the link before it and that behind it; first the root by itself.
 
     The frames of a Pinocchio model do not tell what a locked joint joined.
     """
-    tree = parse_urdf(recipe.text, recipe.source)
+    tree = parse_urdf(model_source.text, model_source.source)
     root = root_link(tree)
 
     def called(link: str) -> str:
-        return recipe.name if link == root and recipe.name else recipe.scoped(link)
+        return (
+            model_source.name if link == root and model_source.name else model_source.scoped(link)
+        )
 
     yield "", "", called(root)
     for joint in tree.findall("joint"):

@@ -7,7 +7,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.kinematics.poses import with_steady_signs, world_pose
+from mbd_ros.core.kinematics.poses import with_continuous_signs, world_pose
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.model.urdf import joint_kinds, parse_urdf
 from mbd_ros.core.state import Array, BodyMotion
@@ -180,7 +180,7 @@ def sample_table(scene: Scene, times: Array, q: Array) -> Table:
         unit = "m" if name in slides else "rad"
         columns.append(Column(f"{name}.position", np.full(len(times), value), unit))
     for base in robot.bases:
-        pose = with_steady_signs(world_pose(robot, q[:, base.q]))
+        pose = with_continuous_signs(world_pose(robot, q[:, base.q]))
         columns += motion_columns(BodyMotion(base.name, pose, None, None), base.frame)
     return Table([Column(TIME, times, "s"), *columns])
 
@@ -188,11 +188,13 @@ def sample_table(scene: Scene, times: Array, q: Array) -> Table:
 def _locked_slides(robot: Robot) -> frozenset[str]:
     """Names of locked joints that slide, which the model has no more."""
     found = []
-    for recipe in robot.recipes:
-        kinds = joint_kinds(parse_urdf(recipe.text, recipe.source, recipe.inertias))
-        names = recipe.rename or {}
+    for model_source in robot.model_sources:
+        kinds = joint_kinds(
+            parse_urdf(model_source.text, model_source.source, model_source.inertias)
+        )
+        names = model_source.rename or {}
         found += [
-            recipe.scoped(names.get(joint, joint))
+            model_source.scoped(names.get(joint, joint))
             for joint, kind in kinds.items()
             if kind == "prismatic"
         ]

@@ -137,7 +137,7 @@ def run_muscles(
         scene = external.scene
         for text in external.remarks:
             say(text)
-    for text in scene.robot.doubts:
+    for text in scene.robot.inertia_warnings:
         say(f"warning: {text}")
     solver = asked.solver(scene)
     observed = observe_motion(scene, task, say, external)

@@ -76,7 +76,7 @@ def _read(scene: Scene, asked: RecordingTask) -> Motion:
         required=scene.couplings.independent,
         bodies={base.name: base.frame for base in robot.bases},
         members=robot.members,
-        sliding=robot.sliding,
+        sliding=robot.prismatic_joints,
         assumed=lambda name: float(scene.initial.q[robot.joint(name).q]),
     ).motion
     if len(found.stamps) < 2:
@@ -316,7 +316,7 @@ class References:
     def _of_columns(self, file: Path, names: Sequence[str], times: Array) -> Array:
         robot = self._scene.robot
         joints = [joint.name for joint in robot.joints]
-        table = read_columns(file, (TIME, *names), joints, robot.sliding)
+        table = read_columns(file, (TIME, *names), joints, robot.prismatic_joints)
         if table is None:
             raise DataError(f"{file}: a bag has no columns; accepted: a table")
         at = self._since(times, float(table[0, 0]))

@@ -182,7 +182,9 @@ def residuals_of(found: Found) -> Iterator[Residual]:
         name = f"{joint}.effort"
         if name in first.quantities.names and first.quantities.find(name)[0].letter == "u":
             at = first.quantities.find(name)[0].index
-            yield _residual(name, "N" if joint in scene.robot.sliding else "N·m", u[:, at])
+            yield _residual(
+                name, "N" if joint in scene.robot.prismatic_joints else "N·m", u[:, at]
+            )
     for part in problem.residuals:
         slots = scene.inputs.slots[part]
         for at in range(slots.start, slots.stop):

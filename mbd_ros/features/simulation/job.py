@@ -119,7 +119,11 @@ def run_simulation(scene: Scene, run: Run, say: Say) -> Result:
     x, more = initial_state(scene, run)
     excited = scene.muscles, x, simulation.system.loads.sources.at(x.t)
     fibers = fiber_warnings(scene.robot, *excited)
-    odd = (*scene.robot.doubts, *start_warnings(scene.robot, scene.constraints, x), *fibers)
+    odd = (
+        *scene.robot.inertia_warnings,
+        *start_warnings(scene.robot, scene.constraints, x),
+        *fibers,
+    )
     how = (simulation.how,) if simulation.how else ()
     for text in (*remarks, *more, *how, *(f"warning: {text}" for text in odd)):
         say(text)

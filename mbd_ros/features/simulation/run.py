@@ -202,7 +202,7 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
         required=required,
         bodies=bodies,
         members=members,
-        sliding=scene.robot.sliding,
+        sliding=scene.robot.prismatic_joints,
     ).motion
     stamp = round(run.start / NANOSECOND)
     row = int(np.argmin(np.abs(motion.stamps - stamp)))
@@ -267,7 +267,7 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, InputSource], list[Load], 
     if run.efforts is None:
         return sources, [], []
     names = commanded or tuple(joint.name for joint in scene.robot.joints)
-    members, sliding = scene.robot.members, scene.robot.sliding
+    members, sliding = scene.robot.members, scene.robot.prismatic_joints
     motion = read_motion(run.efforts, names, required=(), members=members, sliding=sliding).motion
     where = name_of(run.efforts)
     if commanded:

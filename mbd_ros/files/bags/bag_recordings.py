@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mbd_ros.core.kinematics.poses import with_steady_signs
+from mbd_ros.core.kinematics.poses import with_continuous_signs
 from mbd_ros.core.state import Array, BodyMotion, Motion, WrenchSamples
 from mbd_ros.errors import DataError
 from mbd_ros.files.bag_paths import beside, by_member, joint_state_topic, odometry_topic
@@ -263,7 +263,7 @@ def _motion(
     bodies = []
     for body in wanted.bodies:
         pose, twist = kept[beside(topic, odometry_topic(body))]
-        bodies.append(BodyMotion(body, with_steady_signs(pose), _absent_if_nan(twist)))
+        bodies.append(BodyMotion(body, with_continuous_signs(pose), _absent_if_nan(twist)))
     fields = without_infinite(position), _absent_if_nan(without_infinite(velocity)), None
     return Motion(
         wanted.joints,

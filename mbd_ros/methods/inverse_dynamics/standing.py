@@ -115,7 +115,7 @@ def carriers(robot: Robot, actuated: Sequence[str] | None) -> tuple[str, ...]:
         actuated: Joints with an actuator; None where the scene has none.
     """
     model, names = robot.model, {joint.v: joint.name for joint in robot.joints}
-    sliding, found = robot.sliding, []
+    sliding, found = robot.prismatic_joints, []
     for root in range(1, model.njoints):
         if int(model.parents[root]) or model.joints[root].nv != 1:
             continue

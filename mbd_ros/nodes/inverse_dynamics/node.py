@@ -156,7 +156,7 @@ class InverseDynamicsNode(Shell):
             text = f"{text}; nothing heard on {', '.join(sorted(whole.unheard))}"
         if level == OK:
             level, text = self._pipeline.health(self.parameters.coupling_tolerance)
-        doubts = self._pipeline.scene.robot.doubts
+        doubts = self._pipeline.scene.robot.inertia_warnings
         if doubts:
             return max(level, WARN), f"{text}; inertias in doubt: {'; '.join(doubts)}", details
         return level, text, details

@@ -212,7 +212,7 @@ class Pipeline:
         return {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
-            "inertias in doubt": "; ".join(robot.doubts) or "none",
+            "inertias in doubt": "; ".join(robot.inertia_warnings) or "none",
             "joints reconstructed": ", ".join(reconstructed) or "none",
             "joints held": ", ".join(self.held()) or "none",
             "derivatives": f"causal, delay {filters.delay:.4f} s, "

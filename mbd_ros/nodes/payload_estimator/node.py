@@ -8,7 +8,7 @@ from typing import Any
 from geometry_msgs.msg import InertiaStamped
 from std_msgs.msg import Float64MultiArray
 
-from mbd_ros.core.model.inertial_parameters import COUNT, PLACES
+from mbd_ros.core.model.inertial_parameters import COUNT, PARAMETER_NAMES
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.payload_estimator.pipeline import Carried, PayloadPipeline
@@ -35,7 +35,7 @@ PARAMETERS = (
     tunable("size", 0.2, 1e-4, 100.0, "Size of the payload that may be expected [m]."),
 )
 DEPTH = 10
-LABELS = tuple(f"{a}.{b}" for a in PLACES for b in PLACES)
+LABELS = tuple(f"{a}.{b}" for a in PARAMETER_NAMES for b in PARAMETER_NAMES)
 
 
 class PayloadEstimatorNode(Shell):

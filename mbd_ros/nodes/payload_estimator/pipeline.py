@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.model.inertial_parameters import PLACES, inertia_of
+from mbd_ros.core.model.inertial_parameters import PARAMETER_NAMES, inertia_of
 from mbd_ros.errors import SceneError
 from mbd_ros.features.identification.payload.job import carrier_of
 from mbd_ros.features.identification.payload.recursive import RecursivePayload
@@ -129,7 +129,11 @@ class PayloadPipeline:
         }
 
     def _hidden(self) -> list[str]:
-        return [name for name, there in zip(PLACES, self.estimate.shown, strict=True) if not there]
+        return [
+            name
+            for name, there in zip(PARAMETER_NAMES, self.estimate.shown, strict=True)
+            if not there
+        ]
 
 
 class Carried(NamedTuple):

@@ -52,7 +52,7 @@ class FrameAnchor(PairRows):
         anchor, anchored = robot.point("universe", position), robot.point(frame, point, rpy)
         if orientation is not None:
             R = rotation_matrix(orientation)
-            anchored = robot.turned(anchored, R.T)  # these axes coincide with those of the world
+            anchored = robot.rotated(anchored, R.T)  # these axes coincide with those of the world
         super().__init__(
             robot.pair(anchor, anchored), "xyz", FullRotation() if kind == "full" else None
         )

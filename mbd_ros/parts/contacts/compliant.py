@@ -6,7 +6,7 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 
 from mbd_ros.core.contracts import Internal, Load, Now, Output, Value, Wrench
-from mbd_ros.core.geometry.contact_outputs import ContactShow
+from mbd_ros.core.geometry.contact_outputs import ContactOutputs
 from mbd_ros.core.geometry.contact_pair import contact_pair, distance_to_mass
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
@@ -62,7 +62,7 @@ class Compliant(Load):
         features: Names of the contact features.
         contact: Output quantities of the contact.
         normal: Law of the normal force.
-        rubbing: Law of friction, None without friction.
+        friction_law: Law of friction, None without friction.
         max_penetration: Largest acceptable penetration [m], 0 if it is unknown.
         max_force: Normal force for that penetration [N], or None.
         default_name: Name of the contact if its entry has none.
@@ -108,16 +108,16 @@ class Compliant(Load):
         if law == "hunt_crossley":
             power = HERTZ if exponent is None else exponent
             self.normal = HuntCrossleyNormal(stiffness, dissipation, power)
-        self.rubbing: FrictionLaw | None = None if creep is None else Creep(creep)
+        self.friction_law: FrictionLaw | None = None if creep is None else Creep(creep)
         if bristle_stiffness is not None and bristle_damping is not None:
-            self.rubbing = Bristle(bristle_stiffness, bristle_damping)
+            self.friction_law = Bristle(bristle_stiffness, bristle_damping)
             self.internal = tuple(_bristles(self.features))
         if max_penetration is None:
             max_penetration = _RELATIVE_PENETRATION * distance_to_mass(robot, self.pair)
         self.max_penetration = max_penetration
         self.max_force = max_force
         self._nv = int(robot.model.nv)
-        self.contact = ContactShow(robot, self.pair, friction)
+        self.contact = ContactOutputs(robot, self.pair, friction)
         forces = (Output(name, "N", frame=between.b.frame) for name in self.contact.names)
         self.outputs = (*forces, *self.contact.outputs)
         a, b = self.pair.points
@@ -169,7 +169,7 @@ class Compliant(Load):
 
         A bristle whose feature does not touch relaxes to its undeflected state.
         """
-        law, z = self.rubbing, x.z[self.z]
+        law, z = self.friction_law, x.z[self.z]
         if not isinstance(law, Bristle):
             return np.zeros(0)
         relaxation = -law.stiffness / law.damping * z
@@ -188,9 +188,9 @@ class Compliant(Load):
     def potential(self, k: Kinematics, x: State) -> float:
         """Return the energy of springs and bristles [J]."""
         energy = sum(self.normal.energy(-gap) for gap in self.pair.gaps(k).tolist() if gap < 0.0)
-        if isinstance(self.rubbing, Bristle):
+        if isinstance(self.friction_law, Bristle):
             z = x.z[self.z].tolist()
-            energy += sum(map(self.rubbing.energy, zip(z[::2], z[1::2], strict=True)))
+            energy += sum(map(self.friction_law.energy, zip(z[::2], z[1::2], strict=True)))
         return energy
 
     def wrenches(self, k: Kinematics, x: State, u: Array) -> tuple[Wrench, ...]:
@@ -211,8 +211,8 @@ class Compliant(Load):
             share: Factor on the stiffness of the contact.
         """
         sides = (0.0, 0.0)
-        if self.rubbing is not None and self._friction[feature]:
-            sides = self.rubbing.slopes(self._friction[feature] * force)
+        if self.friction_law is not None and self._friction[feature]:
+            sides = self.friction_law.slopes(self._friction[feature] * force)
         return Slopes(*self.normal.slopes(force, share), *sides)
 
     def _contact_forces(self, k: Kinematics, x: State) -> "_ContactForces | None":
@@ -221,7 +221,7 @@ class Compliant(Load):
         if min(gaps) >= 0.0:
             return None
         J = self.pair.jacobian(k)
-        velocities, law, forces = J.dot(x.v).tolist(), self.rubbing, [0.0] * len(J)
+        velocities, law, forces = J.dot(x.v).tolist(), self.friction_law, [0.0] * len(J)
         deflections = x.z[self.z].tolist() if self.internal else [0.0] * (2 * len(gaps))
         for i, gap in enumerate(gaps):
             if gap < 0.0:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Annotated
 
 from mbd_ros.core.contracts import Now, Value, Wrench
-from mbd_ros.core.geometry.contact_outputs import ContactShow
+from mbd_ros.core.geometry.contact_outputs import ContactOutputs
 from mbd_ros.core.geometry.contact_pair import contact_pair
 from mbd_ros.core.geometry.shapes import Between
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
@@ -75,7 +75,7 @@ class Rigid(Constraint):
         self.law = cone(friction, restitution)
         a, b = self.pair.points
         self.default_name = f"{a.frame if a.moves else b.frame}_contact"
-        self.contact = ContactShow(robot, self.pair, friction)
+        self.contact = ContactOutputs(robot, self.pair, friction)
         self.rows = tuple(Row(name, "N", between.b.frame) for name in self.contact.names)
         self.outputs = self.contact.outputs
 

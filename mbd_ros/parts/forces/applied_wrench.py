@@ -50,7 +50,7 @@ class AppliedWrench(Load):
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
         """Return the generalized force, shape (nv,)."""
-        jacobian = k.own_jacobian if self._follows_link else k.spatial_jacobian
+        jacobian = k.local_jacobian if self._follows_link else k.spatial_jacobian
         tau: Array = k.dot(self._wrench, jacobian(self._point))
         return tau
 

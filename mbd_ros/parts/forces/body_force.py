@@ -100,11 +100,11 @@ class BodyForce(Load):
 
     def _generalized_direction(self, k: Kinematics) -> Array:
         """Return J' times the direction, summed over both links, shape (nv,)."""
-        jacobian = k.own_jacobian if self._follows_link else k.spatial_jacobian
+        jacobian = k.local_jacobian if self._follows_link else k.spatial_jacobian
         tau: Array = k.dot(self._direction, jacobian(self._point))
         if self._other is None:
             return tau
         direction = self._direction
         if self._follows_link:
-            direction = k.carried(direction, self._point, self._other)
+            direction = k.transform_wrench(direction, self._point, self._other)
         return tau - k.dot(direction, jacobian(self._other))

@@ -54,7 +54,7 @@ class Gyroscope(Sensor):
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """Return the derivative with respect to v [rad/s per unit of v], shape (3, nv)."""
-        return k.own_jacobian(self.point)[_ANGULAR]
+        return k.local_jacobian(self.point)[_ANGULAR]
 
     def covariance(self, k: Kinematics, x: State) -> Array:
         """Return the covariance, equal for all axes [(rad/s)^2], shape (3, 3)."""

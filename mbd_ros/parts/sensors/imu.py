@@ -62,7 +62,7 @@ class Imu(Sensor):
     def measure(self, k: Kinematics, x: State, now: Now | None) -> Array:
         """Return the angular velocity [rad/s] and specific force [m/s^2], shape (6,)."""
         force = specific_force(self, k, self.point, now, self._gravity)
-        return np.concatenate((k.own_jacobian(self.point)[_ANGULAR].dot(x.v), force))
+        return np.concatenate((k.local_jacobian(self.point)[_ANGULAR].dot(x.v), force))
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """Return the derivative with respect to joint accelerations, shape (6, nv)."""

@@ -66,7 +66,7 @@ class Pose(Sensor):
 
     def jacobian(self, k: Kinematics, x: State) -> Array:
         """Return the derivative with respect to q, shape (6, nv)."""
-        angular = k.own_jacobian(self.point)[3:]
+        angular = k.local_jacobian(self.point)[3:]
         slope = rotation_vector_slope(k.rotation(self.point))
         return np.vstack((k.jacobian(self.point), slope.dot(angular)))
 

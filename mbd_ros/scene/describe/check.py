@@ -104,7 +104,7 @@ def _lines(scene: Scene, tell: Tell | None) -> Iterator[Line]:
     yield "forward", f"refused: {fault}" if fault else _forward(scene, system)
     if scene.solver.compiles:
         yield from compiled_lines(scene, not fault, tell)
-    yield from (("warning", text) for text in robot.doubts)
+    yield from (("warning", text) for text in robot.inertia_warnings)
     yield from _warnings(scene, system, start, factor)
     if not fault:
         yield from step_lines(scene, system, start)
@@ -277,16 +277,16 @@ def _state_lines(internals: Internals, z: Array) -> Iterator[Line]:
 def member_lines(scene: Scene) -> Iterator[Line]:
     """The robots and the other bodies."""
     robot, bodies = scene.robot, scene.parts.get("bodies", {})
-    if len(robot.recipes) == 1 and not robot.recipes[0].name:
+    if len(robot.model_sources) == 1 and not robot.model_sources[0].name:
         yield "robot", f"{robot.name} from {scene.source}, {robot.base_text}"
         return
-    for recipe in robot.recipes:
-        if recipe.name in bodies:
-            how = "free" if recipe.base == "floating" else "placed"
-            yield "body", f"{recipe.name} from {recipe.source}, {how}"
+    for model_source in robot.model_sources:
+        if model_source.name in bodies:
+            how = "free" if model_source.base == "floating" else "placed"
+            yield "body", f"{model_source.name} from {model_source.source}, {how}"
         else:
-            name = f"{recipe.name} from " if recipe.name else ""
-            yield "robot", f"{name}{recipe.source}, {recipe.base} base"
+            name = f"{model_source.name} from " if model_source.name else ""
+            yield "robot", f"{name}{model_source.source}, {model_source.base} base"
 
 
 def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
@@ -359,7 +359,7 @@ def unused_rubbing(scene: Scene) -> Iterator[str]:
         joint = getattr(getattr(part, "joint", None), "name", None)
         covered.update((key, joint) for key in getattr(part, "brings", ()) if joint)
     for key in ("friction", "damping"):
-        names = [n for n, rub in scene.robot.rubbing.items() if getattr(rub, key)]
+        names = [n for n, rub in scene.robot.joint_friction.items() if getattr(rub, key)]
         lacking = [name for name in names if (key, name) not in covered]
         if lacking:
             yield f"URDF <dynamics> {key} of {', '.join(lacking)}"

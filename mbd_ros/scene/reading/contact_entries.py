@@ -100,9 +100,9 @@ def read_side(site: Site, given: Any, where: str) -> Side:
 def _named(site: Site, name: str, where: str) -> Side:
     """The shape of a body, the ground, or what a description says of a link."""
     robot = _robot(site)
-    recipe = next((r for r in robot.recipes if r.name and r.name == name), None)
-    if recipe is not None and recipe.shape is not None:
-        return Side(name, (_shape(site, *recipe.shape, robot.point(name), where),))
+    model_source = next((r for r in robot.model_sources if r.name and r.name == name), None)
+    if model_source is not None and model_source.shape is not None:
+        return Side(name, (_shape(site, *model_source.shape, robot.point(name), where),))
     if name == GROUND and not robot.model.existFrame(name):
         rest = _at_rest(robot)
         return Side(rest, (HalfSpace(robot.point(rest)),))

@@ -366,11 +366,11 @@ def test_what_a_description_says_besides_goes_by_the_name_of_its_robot(tmp_path)
     scene = scene_from({"robots": {"left": entry, "right": entry}})
     assert scene.couplings.parents == {"left/grip": "left/bend", "right/grip": "right/bend"}
     assert scene.robot.joint("right/bend").urdf_name == "right/elbow"
-    assert {name: rub.damping for name, rub in scene.robot.rubbing.items()} == {
+    assert {name: rub.damping for name, rub in scene.robot.joint_friction.items()} == {
         "left/grip": 0.5,
         "right/grip": 0.5,
     }
-    assert [line.partition(":")[0] for line in scene.robot.doubts] == ["left", "right"]
+    assert [line.partition(":")[0] for line in scene.robot.inertia_warnings] == ["left", "right"]
     assert "damping of left/grip, right/grip" in scene.check()
 
 

@@ -132,8 +132,8 @@ def test_what_is_left_out_is_said():
     rubbed = LEG.replace('<child link="foot"/>', '<child link="foot"/><dynamics damping="0.5"/>')
     robot = read_robot(rubbed.replace("</robot>", "<transmission/></robot>"))
     assert robot.ignored == ("URDF <transmission>",)
-    assert robot.rubbing == {"ankle": (0.0, 0.5)}
-    assert (read_robot(LEG).ignored, read_robot(LEG).rubbing) == ((), {})
+    assert robot.joint_friction == {"ankle": (0.0, 0.5)}
+    assert (read_robot(LEG).ignored, read_robot(LEG).joint_friction) == ((), {})
 
 
 def test_a_continuous_joint_without_an_effort_limit_has_none():

@@ -120,7 +120,7 @@ def test_hostile_text_is_refused_at_once(text, part):
 def test_link_that_moves_without_any_mass_is_named():
     tip = HINGE.format("wrist", "fore", "hand") + '<link name="hand"/></robot>'
     said = "link 'hand' moves, but neither it nor what it carries has mass"
-    assert read_robot(ARM.replace("</robot>", tip)).doubts == (said,)
+    assert read_robot(ARM.replace("</robot>", tip)).inertia_warnings == (said,)
     carried = tip.replace("</robot>", "") + HINGE.format("slide", "hand", "nail")
     carried += LINK.format("nail") + "</robot>"
     assert len(read_robot(ARM.replace("</robot>", carried)).joints) == 4
@@ -145,9 +145,9 @@ def test_published_inertias_that_no_body_has_are_said_and_used(mass, moments, do
     for old, axis, moment in zip(("0.02", "0.03", "0.04"), "xyz", moments, strict=True):
         text = text.replace(f'i{axis}{axis}="{old}"', f'i{axis}{axis}="{moment!r}"')
     robot = read_robot(ARM.replace(LINK.format("upper"), text))
-    assert [d.startswith("link 'upper': ") and doubt in d for d in robot.doubts] == [True] * bool(
-        doubt
-    )
+    assert [d.startswith("link 'upper': ") and doubt in d for d in robot.inertia_warnings] == [
+        True
+    ] * bool(doubt)
     inertia = robot.model.inertias[1]
     assert inertia.mass == mass
     assert inertia.inertia.diagonal() == pytest.approx(moments, rel=1e-14, abs=1e-20)
@@ -200,5 +200,5 @@ def test_random_damage_never_raises_anything_else():
         else:
             assert pin.computeTotalMass(robot.model) > 0
             heavy = sum(i.mass > 0 for i in robot.model.inertias)
-            assert heavy == len(robot.joints) or robot.doubts, text
+            assert heavy == len(robot.joints) or robot.inertia_warnings, text
     assert 100 < refused < 300

@@ -76,11 +76,11 @@ class WrappedPath(Path):
 
     def length(self, k: Kinematics, x: State) -> float:
         """The l [m]."""
-        return k.searched(self, x).length
+        return k.search_path(self, x).length
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
         """The l [m] and J, shape (nv,)."""
-        length, by_points, by_wraps = k.searched(self, x)
+        length, by_points, by_wraps = k.search_path(self, x)
         slope = k.zeros(self._nv)
         for point, change in zip(self.points, by_points, strict=True):
             if point.moves:

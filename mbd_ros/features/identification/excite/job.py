@@ -354,13 +354,13 @@ class SelfCollision:
     def __init__(self, scene: Scene) -> None:
         self.remarks: list[str] = []
         self._model, self._pairs = scene.robot.model, 0
-        recipe = scene.robot.recipes[0]
-        if len(scene.robot.recipes) > 1 or "<collision" not in recipe.text:
+        model_source = scene.robot.model_sources[0]
+        if len(scene.robot.model_sources) > 1 or "<collision" not in model_source.text:
             self.remarks.append("no collision shapes: distances of links are not looked at")
             return
         try:
             geometry = pin.buildGeomFromUrdfString(
-                self._model, recipe.text, pin.GeometryType.COLLISION
+                self._model, model_source.text, pin.GeometryType.COLLISION
             )
         except (ValueError, RuntimeError) as error:
             self.remarks.append(f"distances of links are not looked at: {error}")

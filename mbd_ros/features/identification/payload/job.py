@@ -9,9 +9,9 @@ import numpy as np
 
 from mbd_ros.core.model.inertial_parameters import (
     COUNT,
-    PLACES,
+    PARAMETER_NAMES,
     inertia_of,
-    moved_numbers,
+    parameter_transformation,
 )
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, ModelError
@@ -107,7 +107,7 @@ class Payload(NamedTuple):
     def table(self) -> Result:
         """A number a row: name, value, deviation, unit."""
         body, sigma = self.inertia, np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        names = ["mass", "cx", "cy", "cz", *(f"{self.frame}.{p}" for p in PLACES[4:])]
+        names = ["mass", "cx", "cy", "cz", *(f"{self.frame}.{p}" for p in PARAMETER_NAMES[4:])]
         values = [body.mass, *body.lever, *self.inertia.toDynamicParameters()[4:]]
         units = ["kg", "m", "m", "m", *["kg·m^2"] * 6]
         scatter = [*self.deviation, *sigma[4:]]
@@ -160,7 +160,9 @@ def _fitted(scene: Scene, task: Task, place: int, frame: str, say: Say) -> _Foun
     numbers[at] = found.fit.base
     covariance[np.ix_(at, at)] = found.covariance[:r, :r]
     model = problem.scene.robot.model
-    B = moved_numbers(model.frames[problem.scene.robot.frame(frame)].placement.inverse())
+    B = parameter_transformation(
+        model.frames[problem.scene.robot.frame(frame)].placement.inverse()
+    )
     body = _body(problem, found, own, B)
     return _Found(B @ numbers, B @ covariance @ B.T, body)
 

@@ -15,9 +15,9 @@ import numpy as np
 from mbd_ros.core.model.inertial_parameters import (
     COUNT,
     is_consistent,
-    moved_numbers,
-    numbers_of,
+    parameter_transformation,
     parameters_of,
+    parameters_of_pseudo_inertia,
     pseudo_inertia,
 )
 from mbd_ros.core.model.robot import Robot
@@ -72,7 +72,7 @@ class RecursivePayload:
         link = robot.model.frames[robot.frame(frame)]
         joint = int(link.parentJoint)
         self._columns = slice(COUNT * (joint - 1), COUNT * joint)
-        self._to_joint = moved_numbers(link.placement)
+        self._to_joint = parameter_transformation(link.placement)
         self._given = parameters_of(robot.model).ravel()
         self._n, self._memory, self._cutoff = len(self._regressor.labels), memory, cutoff
         self._open = np.array([mass, *[mass * size] * 3, *[mass * size**2] * 6])
@@ -99,7 +99,7 @@ class RecursivePayload:
         size = np.sqrt(np.diag(self._least))
         values, vectors = np.linalg.eigh(pseudo_inertia(self.numbers) / np.outer(size, size))
         kept = vectors @ np.diag(np.maximum(values, 1.0)) @ vectors.T
-        return numbers_of(kept * np.outer(size, size))
+        return parameters_of_pseudo_inertia(kept * np.outer(size, size))
 
     @property
     def shown(self) -> Array:

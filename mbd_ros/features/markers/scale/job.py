@@ -95,13 +95,17 @@ def scaled_entries(
 ) -> tuple[dict[str, Any], str]:
     """Entries of the scaled scene without its description, and the description."""
     robot = scene.robot
-    if len(robot.recipes) != 1 or robot.recipes[0].name or robot.recipes[0].shape:
+    if (
+        len(robot.model_sources) != 1
+        or robot.model_sources[0].name
+        or robot.model_sources[0].shape
+    ):
         raise SceneError(f"{scene.name}: scale serves scenes with one robot")
     capture = read_capture(static, task.unit).between(task.begin, task.end)
     factors = factors_of(scene, capture, task)
-    recipe = robot.recipes[0]
-    urdf = ScaledUrdf(recipe.text, factors, task.mass, task.by_volume)
-    stretch = {(recipe.rename or {}).get(n, n): f for n, f in urdf.stretch.items()}
+    model_source = robot.model_sources[0]
+    urdf = ScaledUrdf(model_source.text, factors, task.mass, task.by_volume)
+    stretch = {(model_source.rename or {}).get(n, n): f for n, f in urdf.stretch.items()}
     entries = scaled_sections(scene.entries, factors, stretch)
     given = entries.get("robot") or {}
     entries["robot"] = {k: v for k, v in given.items() if k not in ("urdf", "osim", "mjcf")}

@@ -108,7 +108,7 @@ def _recorded(scene: Scene, motion: Source, topic: str) -> Motion:
         required=names,
         bodies={base.name: base.frame for base in robot.bases},
         members=robot.members,
-        sliding=robot.sliding,
+        sliding=robot.prismatic_joints,
         assumed=lambda name: float(scene.initial.q[robot.joint(name).q]),
     )
     return recording.motion
