@@ -22,7 +22,10 @@ MINUTES = ("demo", "gait", "report")  # commands that run for longer than others
 PROCESSES = ("replay", *MINUTES)  # which take hold of signals or of this process's files
 IN_A_SHELL = ("eval", "export", "ros2", "pip", "colcon", "make", "dask", ".")  # checked, not run
 SYNOPSIS = re.compile(r"\b[A-Z]{2,}\b|\.\.(?!/)|\||\[")  # SCENE, `..`, [a|b]
-ELSEWHERE = {"laboratory.md": "test/applications/demo/test_laboratory.py"}  # recordings of others
+ELSEWHERE = {  # pages whose blocks other tests run
+    "extend.md": "test/house/test_docs.py",
+    "laboratory.md": "test/applications/demo/test_laboratory.py",  # recordings of others
+}
 
 
 def is_long(page):
