@@ -458,7 +458,7 @@ def power_columns(
     """
     rows, driven, count, motions = explained
     loads = scene.wrenches
-    balance = PowerBalance(scene.robot, rows, driven, loads, scene.acting, contacts)
+    balance = PowerBalance(scene.robot, rows, driven, loads, scene.forces_without_input, contacts)
     values = np.array(
         [
             balance.values(*motion, [load[i] for load in wrenches])

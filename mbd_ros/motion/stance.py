@@ -137,7 +137,7 @@ def _states(source: Source, parts: Sequence[Any]) -> Array | None:
 def _held(scene: Scene, source: Source, parts: Sequence[Any]) -> Mask | None:
     """Features that the phase of each row holds; None without phases, or where some hold none."""
     plans, numbers = list(scene.phases.values()), read_columns(source, ["phase"])
-    if numbers is None or not all(plan.held for plan in plans):
+    if numbers is None or not all(plan.keeps_closed for plan in plans):
         return None
     unknown = ~np.isin(numbers[:, 0], np.arange(len(plans)))
     if unknown.any():

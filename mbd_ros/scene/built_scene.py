@@ -56,11 +56,11 @@ class Scene:
         origin: The file, or what else its sections came from.
         robot: The robot, with the inertia of its drives.
         parts: The built sections, by key; the robot there is without its drives.
-        entries: The sections as given, by key.
+        entries: The sections of the file, by key.
         sections: Lines of the table, those of other packages included.
         code: Key -> `package.module:Class` of what was imported from outside this package.
-        inputs: What parts take from outside while they run: u.
-        internals: States of parts of their own: z.
+        inputs: Inputs u of all parts.
+        internals: Internal states z of all parts.
     """
 
     origin: Origin
@@ -77,14 +77,16 @@ class Scene:
         parts, inputs = bind_inputs(self.sections, self.parts)
         object.__setattr__(self, "parts", parts)
         object.__setattr__(self, "inputs", inputs)
-        built = (
-            (section, parts[section.key]) for section in self.sections if section.key in parts
+        all_parts = (
+            part
+            for section in self.sections
+            if section.key in parts
+            for part in parts_in(section, parts[section.key])
         )
-        every = (part for section, given in built for part in parts_in(section, given))
-        holders = [part for part in every if getattr(part, "internal", ())]
-        object.__setattr__(self, "internals", Internals(holders))
-        given = self.entries.get("initial") or {}
-        z = first_values(self.internals, given.get("internal"), f"{self.name}: initial")
+        with_states = [part for part in all_parts if getattr(part, "internal", ())]
+        object.__setattr__(self, "internals", Internals(with_states))
+        initial = self.entries.get("initial") or {}
+        z = first_values(self.internals, initial.get("internal"), f"{self.name}: initial")
         object.__setattr__(self, "_initial_internals", z)
 
     @property
@@ -124,8 +126,8 @@ class Scene:
         return tuple(part for part in self._offering("force") if not hasattr(part, "command"))
 
     @property
-    def acting(self) -> tuple[Load, ...]:
-        """Those of the forces that act by themselves: nobody gives them an input."""
+    def forces_without_input(self) -> tuple[Load, ...]:
+        """Forces that take no input."""
         return tuple(force for force in self.forces if not force.inputs)
 
     @property
@@ -140,7 +142,7 @@ class Scene:
 
     @property
     def sensors(self) -> "tuple[Sensor, ...]":
-        """What is measured, of all sections."""
+        """Sensors of all sections."""
         return self._offering("measure")
 
     @property
@@ -263,7 +265,7 @@ class Scene:
         if not initial.get("internal"):
             return replace(self, parts=parts)
         built = [(s, self.parts[s.key]) for s in self.sections if s.key in keys]
-        gone = {part.name for section, given in built for part in parts_in(section, given)}
+        gone = {part.name for section, parts in built for part in parts_in(section, parts)}
         values = {n: z for n, z in initial["internal"].items() if n.partition(".")[0] not in gone}
         entries = {**self.entries, "initial": {**initial, "internal": values}}
         return replace(self, parts=parts, entries=entries)
@@ -279,7 +281,7 @@ class Scene:
         Args:
             forces: Force terms besides those of the scene.
             solver: Entry that replaces that of the scene.
-            sources: What gives the inputs of parts, by name of the part.
+            sources: Sources of inputs, by name of the part.
 
         Raises:
             SceneError: The tier cannot serve the scene, or a package is missing.
@@ -294,13 +296,13 @@ class Scene:
             raise SceneError(f"{self.name}: solver: {error}") from error
 
     def system_loads(self, forces: Sequence[Load], sources: Mapping[str, Source]) -> Loads:
-        """Everything that acts on its joints; arguments as for `system`."""
+        """Return everything that exerts forces on the joints; for the arguments see `system`."""
         every = (*self.forces, *forces, *self.wrenches.values())
-        given = self.inputs.sources(sources)
-        return Loads(self.robot.model.nv, every, self.commanded, given)
+        input_sources = self.inputs.sources(sources)
+        return Loads(self.robot.model.nv, every, self.commanded, input_sources)
 
     def chosen_solver(self, entry: Mapping[str, str] | None) -> "Solver":
-        """The solver of an entry; without one that of the scene."""
+        """Return the solver of an entry, or that of the scene without an entry."""
         if entry is None:
             return self.solver
         solver: Solver = schema.call(Solver, dict(entry), f"{self.name}: solver")
@@ -325,7 +327,7 @@ class Scene:
                 self.closed_loop(with_bounds=with_bounds, contacts=contacts, near=near)
             )
         loads = tuple(self.wrenches.values())
-        return InverseDynamics(self.robot, self.couplings, loads, self.acting)
+        return InverseDynamics(self.robot, self.couplings, loads, self.forces_without_input)
 
     def closed_loop(
         self,
@@ -338,10 +340,10 @@ class Scene:
 
         Args:
             with_bounds: Whether efforts keep the limits of their actuators, and stops, dry
-                friction and limited drives exert what their law lets them.
+                friction and limited drives exert at most what their law allows.
             contacts: Names of rigid contacts whose forces are unknown, see `unmeasured_contacts`;
                 joints that stand for a free base exert nothing then.
-            near: What counts as on the ground.
+            near: Which contacts count as on the ground.
 
         Raises:
             SceneError: An actuated joint is unknown or repeated.
@@ -350,15 +352,15 @@ class Scene:
         loads = tuple(self.wrenches.values())
         try:
             limits, free = self._effort_limits(), self.carriers if contacts else ()
-            acting = {name: limits[name] for name in limits if name not in free}
-            efforts = joint_efforts(self.robot, list(acting), list(acting.values()))
+            driven = {name: limits[name] for name in limits if name not in free}
+            efforts = joint_efforts(self.robot, list(driven), list(driven.values()))
             return ClosedLoopInverseDynamics(
                 self.robot,
                 self.couplings,
                 self.constraints,
                 efforts,
                 loads,
-                self.acting,
+                self.forces_without_input,
                 with_bounds=with_bounds,
                 contacts=contacts,
                 carriers=free,
@@ -376,7 +378,7 @@ class Scene:
         self._refuse_internal("a controller")
         if self.muscles:
             raise SceneError(
-                f"{self.name}: a controller drives actuators, no muscles; leave them out"
+                f"{self.name}: a controller drives actuators but no muscles; leave the muscles out"
             )
         loads = Loads(self.robot.model.nv, self.forces, (), self.inputs.sources({}))
         try:
@@ -395,7 +397,7 @@ class Scene:
         if self.unmeasured:
             parts = ", ".join(self.unmeasured)
             raise SceneError(
-                f"{self.name}: {who} knows no internal states, which {parts} has; leave it out"
+                f"{self.name}: {who} cannot know the internal states of {parts}; leave it out"
             )
 
     def _effort_limits(self) -> dict[str, float]:
@@ -463,29 +465,29 @@ def bind_inputs(
         parts: Built sections by key.
     """
     built = [(s, parts[s.key]) for s in sections if s.key in parts]
-    every = [part for section, given in built for part in parts_in(section, given)]
+    every = [part for section, section_parts in built for part in parts_in(section, section_parts)]
     takers = [p for p in every if getattr(p, "inputs", ()) or getattr(p, "internal", ())]
     takers.sort(key=lambda part: not hasattr(part, "command"))  # stable
     after, inputs = bound(takers)
     swapped = {id(a): b for a, b in zip(takers, after, strict=True) if a is not b}
     if not swapped:
         return dict(parts), inputs
-    return {key: _replaced(given, swapped) for key, given in parts.items()}, inputs
+    return {key: _replaced(section_parts, swapped) for key, section_parts in parts.items()}, inputs
 
 
-def first_values(internals: Internals, given: Any, where: str) -> Array:
+def first_values(internals: Internals, values: Any, where: str) -> Array:
     """Internal states at the start, NaN where nothing is given, shape (nz,).
 
     Args:
         internals: Of the scene.
-        given: Values by name, `<part>.<name>: 0.1` or `<part>: {<name>: 0.1}`; None for none.
+        values: Values by name, `<part>.<name>: 0.1` or `<part>: {<name>: 0.1}`; None for none.
         where: File and key, for the messages.
 
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
     z = np.full(internals.nz, np.nan)
-    for name, value in _flat(given or {}):
+    for name, value in _flat(values or {}):
         if name not in internals.names:
             accepted = ", ".join(internals.names) or "none, no part has internal states"
             raise SceneError(f"{where}.internal: unknown '{name}', accepted: {accepted}")
@@ -497,18 +499,18 @@ def first_values(internals: Internals, given: Any, where: str) -> Array:
     return z
 
 
-def _flat(given: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+def _flat(values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """Names with dots, and values."""
-    for name, value in given.items():
+    for name, value in values.items():
         if isinstance(value, Mapping):
             yield from ((f"{name}.{rest}", one) for rest, one in _flat(value))
         else:
             yield name, value
 
 
-def _replaced(given: Any, swapped: Mapping[int, Any]) -> Any:
-    if type(given) in (tuple, list):
-        return tuple(swapped.get(id(part), part) for part in given)
-    if isinstance(given, dict):
-        return {name: swapped.get(id(part), part) for name, part in given.items()}
-    return swapped.get(id(given), given)
+def _replaced(built: Any, swapped: Mapping[int, Any]) -> Any:
+    if type(built) in (tuple, list):
+        return tuple(swapped.get(id(part), part) for part in built)
+    if isinstance(built, dict):
+        return {name: swapped.get(id(part), part) for name, part in built.items()}
+    return swapped.get(id(built), built)

@@ -176,7 +176,7 @@ def _history(body: FreeBody, solved: Solved, task: LoadsTask, say: Say) -> Histo
     tensions = tensions_at(paths, task.motion.motion, task.muscle_forces, stamps, say)
     explained, scene = solved.way.explained, solved.scene
     measured = {n: w for n, w in scene.wrenches.items() if n not in solved.contacts}
-    acting = ActingWrenches(explained.rows, scene.acting, measured, paths)
+    acting = ActingWrenches(explained.rows, scene.forces_without_input, measured, paths)
     places = [i for i, name in enumerate(scene.wrenches) if name in measured]
     samples: list[list[BodyLoad]] = []
     motions: list[BodyMotion] = []
@@ -351,7 +351,7 @@ def about_body(history: History, units: Units) -> dict[str, Any]:
 
 def commanded_paths(scene: Scene) -> dict[str, Path]:
     """Paths of muscles and of other parts whose tension a motion does not show."""
-    known = {id(part) for part in scene.acting}
+    known = {id(part) for part in scene.forces_without_input}
     every = (*scene.commanded, *scene.forces)
     return {p.name: p.path for p in every if hasattr(p, "path") and id(p) not in known}
 

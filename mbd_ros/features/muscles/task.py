@@ -98,7 +98,8 @@ class MusclesTask:
         if self.side is None:
             return None
         robot, no_rows = scene.robot, ConstraintRows((), int(scene.robot.model.nv))
-        bare = JointReactions(robot, no_rows, tuple(scene.wrenches.values()), scene.acting)
+        wrenches = tuple(scene.wrenches.values())
+        bare = JointReactions(robot, no_rows, wrenches, scene.forces_without_input)
         try:
             return JointLoads(robot, bare, scene.muscles, self.reserves, self.links, self.side)
         except ModelError as error:

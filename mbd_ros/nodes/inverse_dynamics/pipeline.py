@@ -110,14 +110,16 @@ class Pipeline:
             raise MessageError(f"phase '{name}' is none of the scene; it has {known}")
         if isinstance(loops, ObservedLoops) and loops.inverse.standing is not None:
             plan = phases[name]
-            loops.told = loops.inverse.standing.of(plan.contacts) if plan.held else None
+            loops.told = loops.inverse.standing.of(plan.contacts) if plan.keeps_closed else None
 
     def with_power(self) -> None:
         """Answer with powers from now on."""
         scene = self.scene
         from mbd_ros.methods.inverse_dynamics.power import ObservedPower  # only on request
 
-        self._power = ObservedPower(scene.robot, self._solver, scene.wrenches, scene.acting)
+        self._power = ObservedPower(
+            scene.robot, self._solver, scene.wrenches, scene.forces_without_input
+        )
         names = [output.name for output in self._power.outputs]
         self._power_writer = MultiArrayCdrWriter(len(names), names)
 

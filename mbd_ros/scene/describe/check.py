@@ -335,7 +335,7 @@ def contact_words(part: Any) -> str:
 
 
 def compiled_lines(scene: Scene, has_start: bool, tell: Tell | None = None) -> Iterator[Line]:
-    """What was compiled for a scene that asks for it, and what a step costs.
+    """Yield lines on compiled steps of a scene that asks for them, and their cost.
 
     Args:
         has_start: Whether it has a start from which steps can be taken.
@@ -371,12 +371,12 @@ def forward_cost(scene: Scene, system: System, x: State) -> str:
     Args:
         x: Consistent start of what it integrates.
     """
-    model, given = system.model, scene.initial
-    bare = _best(partial(pin.aba, model, pin.Data(model), given.q, given.v, np.zeros(model.nv)))
+    model, entry = system.model, scene.initial
+    bare = _best(partial(pin.aba, model, pin.Data(model), entry.q, entry.v, np.zeros(model.nv)))
     y = x  # else in its mode
     if system.exact is not None:
         simulation = build_simulation(scene, solver=_PLAIN)
-        y = inward(simulation.system, simulation.start(given))
+        y = inward(simulation.system, simulation.start(entry))
     ours = _best(evaluation_at(system, y))
     return f"one acceleration {ours * 1e6:.1f} us, {ours / bare:.1f} x a bare aba"
 

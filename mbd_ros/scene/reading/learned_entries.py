@@ -26,18 +26,18 @@ def with_files(part: type, entry: Mapping[str, Any], where: str, folder: Path) -
     Raises:
         SceneError: A name of no file, or of one that is too large.
     """
-    hints, found = typing.get_type_hints(part.__init__), dict(entry)
-    for key in found.keys() & hints.keys():
-        if hints[key] is LearnedFile and not isinstance(found[key], LearnedFile):
-            name: str = schema.value(found[key], str, f"{where}.{key}")
-            found[key] = _read(find_file(folder, name, f"{where}.{key}"), f"{where}.{key}")
-    return found
+    hints, arguments = typing.get_type_hints(part.__init__), dict(entry)
+    for key in arguments.keys() & hints.keys():
+        if hints[key] is LearnedFile and not isinstance(arguments[key], LearnedFile):
+            name: str = schema.value(arguments[key], str, f"{where}.{key}")
+            arguments[key] = _read(find_file(folder, name, f"{where}.{key}"), f"{where}.{key}")
+    return arguments
 
 
 def physics_beside(scene: Scene, said: About) -> dict[str, list[float]]:
-    """What the scene exerts beside a model, see `physics_of`."""
-    given = scene.parts.get("forces", ())
-    others = [part for part in given if not is_learned(part)]
+    """Return the forces of the scene beside a learned model, see `physics_of`."""
+    forces = scene.parts.get("forces", ())
+    others = [part for part in forces if not is_learned(part)]
     return physics_of(scene.robot, scene.couplings, others, said)
 
 

@@ -65,7 +65,7 @@ _BY_KEYS = ("cylinder", "capsule")
 _KINDS = "box, sphere, cylinder, capsule, mesh"
 
 
-def build_robot(site: Site, given: Any) -> Robot:
+def build_robot(site: Site, value: Any) -> Robot:
     """The robot of the section `robot`, with those of `robots` and with `bodies`.
 
     Raises:
@@ -73,12 +73,12 @@ def build_robot(site: Site, given: Any) -> Robot:
     """
     others = [*site.parts.get("robots", {}).values(), *site.parts.get("bodies", {}).values()]
     gravity = site.parts.get("gravity")
-    if given is site.section.absent:
+    if value is site.section.absent:
         if not others:
             raise SceneError(f"{site.origin.name}: key 'robot' is missing, or robots, or bodies")
         return _read(others, gravity or EARTH_GRAVITY, site.origin.name)
     text = site.origin.description
-    entry = read_entry(site.where, given, site.origin.path is None and text is not None)
+    entry = read_entry(site.where, value, site.origin.path is None and text is not None)
     if gravity is not None and entry.gravity is not None:
         raise SceneError(f"{site.where}.gravity: given twice, there is a section 'gravity'")
     gravity = gravity or entry.gravity or EARTH_GRAVITY
@@ -164,20 +164,20 @@ class RobotEntry:
     mjcf: str | None = None
 
 
-def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
+def read_entry(where: str, value: Any, has_text: bool = False) -> RobotEntry:
     """The section `robot`, checked.
 
     Args:
         where: File and key, for the messages.
-        given: What the file holds.
+        value: What the file holds.
         has_text: Whether a description came with the scene, so that none need be named.
 
     Raises:
         SceneError: Names file and key.
     """
-    entry: RobotEntry = schema.call(RobotEntry, given, where)
-    given = (entry.urdf, entry.description_topic, entry.osim, entry.mjcf)
-    named = sum(one is not None for one in given)
+    entry: RobotEntry = schema.call(RobotEntry, value, where)
+    descriptions = (entry.urdf, entry.description_topic, entry.osim, entry.mjcf)
+    named = sum(one is not None for one in descriptions)
     if named != 1 and not (has_text and not named):
         raise SceneError(f"{where}: give either 'urdf', 'osim', 'mjcf' or 'description_topic'")
     if entry.gravity is not None and len(entry.gravity) != 3:
@@ -185,18 +185,18 @@ def read_entry(where: str, given: Any, has_text: bool = False) -> RobotEntry:
     return entry
 
 
-def build_robots(site: Site, given: Any) -> dict[str, ModelSource]:
+def build_robots(site: Site, entry: Any) -> dict[str, ModelSource]:
     """The section `robots`.
 
     Raises:
         SceneError: Names file, key and what is wrong.
     """
-    return _each(site, given, _robot)
+    return _each(site, entry, _robot)
 
 
-def _each(site: Site, given: Any, read: Callable[..., ModelSource]) -> dict[str, ModelSource]:
+def _each(site: Site, mapping: Any, read: Callable[..., ModelSource]) -> dict[str, ModelSource]:
     model_sources = {}
-    for name, entry in schema.value(given, Mapping[str, Any], site.where).items():
+    for name, entry in schema.value(mapping, Mapping[str, Any], site.where).items():
         where = f"{site.where}.{name}"
         if not _NAME.fullmatch(str(name)):
             raise SceneError(
@@ -221,13 +221,13 @@ def _robot(
     return ModelSource(text, source, base, locked, rename, None, name, _placed(pose, where))
 
 
-def build_bodies(site: Site, given: Any) -> dict[str, ModelSource]:
+def build_bodies(site: Site, entry: Any) -> dict[str, ModelSource]:
     """The section `bodies`.
 
     Raises:
         SceneError: Names file, key and what is wrong.
     """
-    return _each(site, given, _body)
+    return _each(site, entry, _body)
 
 
 def _body(
@@ -256,25 +256,25 @@ def _body(
     return model_source._replace(base="floating" if free else "fixed", pose=_placed(pose, where))
 
 
-def build_gravity(site: Site, given: Any) -> Sequence[float]:
+def build_gravity(site: Site, entry: Any) -> Sequence[float]:
     """The section `gravity` [m/s^2].
 
     Raises:
         SceneError: It is no vector.
     """
-    gravity: Sequence[float] = schema.value(given, Vector, site.where)
+    gravity: Sequence[float] = schema.value(entry, Vector, site.where)
     return gravity
 
 
 def shaped(
-    name: str, where: str, given: Any, mass: float | None, inertia: Sequence[Any] | None
+    name: str, where: str, shape_values: Any, mass: float | None, inertia: Sequence[Any] | None
 ) -> ModelSource:
     """A body of one link, its origin in the centre of its shape, which its mass fills evenly.
 
     Args:
         name: Of the body and its link, a ROS name.
         where: File and key, for the messages.
-        given: `{box: [x, y, z]}`, `{sphere: r}`, `{cylinder: {radius, length}}` or
+        shape_values: `{box: [x, y, z]}`, `{sphere: r}`, `{cylinder: {radius, length}}` or
             `{capsule: {radius, length}}`, the last two along z; a capsule is longer than `length`
             by its two half spheres.
         mass: [kg]; None for a body that does not move.
@@ -284,7 +284,7 @@ def shaped(
     Raises:
         SceneError: Names key, what is wrong and what is accepted.
     """
-    entry = schema.value(given, Mapping[str, Any], f"{where}.shape")
+    entry = schema.value(shape_values, Mapping[str, Any], f"{where}.shape")
     if len(entry) != 1 or next(iter(entry)) not in _SHAPES:
         names = ", ".join(_SHAPES)
         raise SceneError(
@@ -398,12 +398,10 @@ def collisions_of(robot: Robot, name: str, where: str) -> list[Collision]:
     )
 
 
-def names_of_link(model_source: ModelSource, tree: ElementTree.Element, link: str) -> list[str]:
-    """What a link is called in the scene; the root goes by the name of its member, too."""
-    is_root = bool(model_source.name) and link == root_link(tree)
-    return (
-        [model_source.name, model_source.scoped(link)] if is_root else [model_source.scoped(link)]
-    )
+def names_of_link(source: ModelSource, tree: ElementTree.Element, link: str) -> list[str]:
+    """Return the names of a link in the scene; the root has the name of its member, too."""
+    is_root = bool(source.name) and link == root_link(tree)
+    return [source.name, source.scoped(link)] if is_root else [source.scoped(link)]
 
 
 class Collision(NamedTuple):

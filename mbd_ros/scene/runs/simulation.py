@@ -75,11 +75,11 @@ def build_simulation(
             if chosen.compiles:
                 simulation.how = "not compiled: phases change what holds"
             return simulation
-        from mbd_ros.scene.runs.compiling import compiled_simulation, kept_for
+        from mbd_ros.scene.runs.compiling import cache_of, compiled_simulation
 
-        kept = None if forces else kept_for(scene, chosen.backend)
+        cache = None if forces else cache_of(scene, chosen.backend)
         wish = {"start": scene.initial, "is_demanded": chosen.must_compile}
-        return compiled_simulation(*parts, tell=tell, kept=kept, **wish)
+        return compiled_simulation(*parts, tell=tell, cache=cache, **wish)
     except ModelError as error:
         raise SceneError(f"{scene.name}: {error}") from error
 
