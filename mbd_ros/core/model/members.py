@@ -1,4 +1,4 @@
-"""Several robots and bodies in one Pinocchio model."""
+"""Merge several robots and bodies into one Pinocchio model."""
 
 from __future__ import annotations
 
@@ -19,17 +19,17 @@ _RESERVED = (BASE, WORLD, "universe")
 
 
 def merged(robots: Sequence[Robot], gravity: Sequence[float]) -> Robot:
-    """All robots and bodies of a scene as one `Robot`.
+    """Merge all robots and bodies of a scene into one `Robot`.
 
-    Joints and links of a member with a name are called `<name>/<joint>`. Its own name is that of
-    its root link, too, and of its base if that is free.
+    Joints and links of a robot with a name become `<name>/<joint>` and `<name>/<link>`. The name
+    itself also denotes the root link, and the base if that is free.
 
     Args:
-        robots: Each read by itself, in the order of their coordinates; one may be without a name.
+        robots: Robots and bodies, in the order of their coordinates; one may have no name.
         gravity: Acceleration of gravity in the world frame [m/s^2], shape (3,).
 
     Raises:
-        ModelError: A name stands for two things, or more joints move than are accepted.
+        ModelError: A name is used twice, or there are too many joints.
     """
     members = _members(robots)
     _check(members)
@@ -66,24 +66,27 @@ def _members(robots: Sequence[Robot]) -> list[_Member]:
 
 
 def _check(members: Sequence[_Member]) -> None:
-    """Refuse names that stand for two things, and more joints than Pinocchio's data holds."""
+    """Refuse ambiguous names, and more joints than fit into the memory of a Pinocchio `Data`."""
     names = [member.model_source.name for member in members]
     for name in names:
         if name in _RESERVED or names.count(name) > 1:
-            reason = "stands for something else" if name in _RESERVED else "is given twice"
-            raise ModelError(f"name '{name}' {reason}; give robots and bodies names of their own")
+            reason = "is reserved" if name in _RESERVED else "is used twice"
+            raise ModelError(
+                f"name '{name}' {reason}; every robot and body needs a name of its own"
+            )
     nv = sum(int(member.robot.model.nv) for member in members)
     if nv > MAX_JOINTS:
         raise ModelError(
-            f"{nv} joints that move, a free body counts as six; accepted are {MAX_JOINTS} in all"
+            f"there are {nv} moving joints, where a free body counts as six; at most {MAX_JOINTS} "
+            "are accepted"
         )
-    taken = set[str]()
+    names_so_far = set[str]()
     for member in members:
-        own = {_frame_name(member, frame) for frame in list(member.robot.model.frames)[1:]}
-        own.add(member.model_source.name)
-        if doubled := sorted((own & taken) - {""}):
-            raise ModelError(f"'{doubled[0]}' is the name of two frames")
-        taken |= own
+        frames = {_frame_name(member, frame) for frame in list(member.robot.model.frames)[1:]}
+        frames.add(member.model_source.name)
+        if repeated := sorted((frames & names_so_far) - {""}):
+            raise ModelError(f"two frames have the name '{repeated[0]}'")
+        names_so_far |= frames
 
 
 def _frame_name(member: _Member, frame: Any) -> str:
@@ -92,14 +95,14 @@ def _frame_name(member: _Member, frame: Any) -> str:
 
 
 def _origin(members: Sequence[_Member]) -> Array:
-    """Place of the first joint that stands in the world [m], 0 where it is near."""
+    """Return the position of the first joint of a fixed base [m], or 0 if it is near 0, (3,)."""
     first = next((m for m in members if m.robot.joints and not m.robot.bases), None)
     if first is None:
         return np.zeros(3)
-    place: Array = first.robot.model.jointPlacements[1].translation + first.robot.origin
+    position: Array = first.robot.model.jointPlacements[1].translation + first.robot.origin
     if first.model_source.pose is not None:
-        place = first.model_source.pose.act(place)
-    return place if np.linalg.norm(place) > FAR else np.zeros(3)
+        position = first.model_source.pose.act(position)
+    return position if np.linalg.norm(position) > FAR else np.zeros(3)
 
 
 def _model(members: Sequence[_Member], origin: Array) -> Any:
@@ -127,7 +130,7 @@ def _model(members: Sequence[_Member], origin: Array) -> Any:
 
 
 def _placement(member: _Member, origin: Array) -> Any:
-    """Of the axes in which a member was read, in those of the model; a free one stands in q."""
+    """Return the placement of a member in the merged model; that of a free one is part of q."""
     if member.robot.bases:
         return pin.SE3.Identity()
     pose = pin.SE3.Identity() if member.model_source.pose is None else member.model_source.pose
@@ -165,20 +168,23 @@ def _base(member: _Member, base: Base, model: Any, origin: Array) -> Base:
     )
 
 
-def _scoped(members: Sequence[_Member], given: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    pairs = zip(members, given, strict=True)
-    return {m.model_source.scoped(name): value for m, own in pairs for name, value in own.items()}
+def _scoped(members: Sequence[_Member], values: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Merge mappings by joint, one per member, with the names of joints in the scene."""
+    pairs = zip(members, values, strict=True)
+    return {
+        m.model_source.scoped(name): value for m, each in pairs for name, value in each.items()
+    }
 
 
 class _Member(NamedTuple):
-    """A robot or body, and where it goes.
+    """A robot or body, and its position among the others.
 
     Attributes:
-        model_source: What it was read from.
-        robot: It by itself.
-        root: Its root link.
-        q: Where its coordinates begin in a configuration of all.
-        v: Where they begin in a velocity of all.
+        model_source: Description that it was read from.
+        robot: The robot or body alone.
+        root: Name of its root link.
+        q: Index of its first coordinate in the merged configuration.
+        v: Index of its first coordinate in the merged velocity.
     """
 
     model_source: ModelSource
@@ -188,6 +194,6 @@ class _Member(NamedTuple):
     v: int
 
     def link(self, name: str) -> str:
-        """What a link is called in the scene: the root may have the name of the member."""
+        """Return the name of a link in the scene; a root link may have the name of its member."""
         model_source = self.model_source
         return name if name == self.root == model_source.name else model_source.scoped(name)

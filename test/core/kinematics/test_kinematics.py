@@ -177,5 +177,5 @@ def test_points_that_do_not_exist_are_named(robot):
     link = link_of(robot)
     with pytest.raises(ModelError, match="no frame 'nose'; the links are"):
         robot.point("nose")
-    with pytest.raises(ModelError, match="do not move against each other"):
+    with pytest.raises(ModelError, match="have no relative motion"):
         robot.pair(robot.point(link), robot.point(link, (0.0, 1.0, 0.0)))

@@ -442,7 +442,7 @@ NAN, INF = math.nan, math.inf
         (
             PointSpring,
             {"frame_a": "foot", "frame_b": "toe"},
-            "frames 'foot' and 'toe' do not move against each other",
+            "frames 'foot' and 'toe' have no relative motion",
         ),
         (AppliedWrench, {**ON_FOOT, "force": [1, 2]}, ".force: expected 3 numbers, got [1, 2]"),
         (AppliedWrench, {**ON_FOOT, "torque": [1, 2, INF]}, ".torque[2]: inf is out of range"),

@@ -483,10 +483,10 @@ def test_a_body_without_mass_is_named(files):
         ({"bodies": {"my box": BOX}}, "bodies.my box: is no ROS name"),
         (
             {"bodies": dict.fromkeys([f"box_{i}" for i in range(50)], BOX)},
-            "302 joints that move, a free body counts as six; accepted are 300 in all",
+            "there are 302 moving joints, where a free body counts as six; at most 300",
         ),
-        ({"bodies": {"base": BOX}}, "name 'base' stands for something else"),
-        ({"bodies": {"sat": BOX}}, "name 'sat' is given twice"),
+        ({"bodies": {"base": BOX}}, "name 'base' is reserved"),
+        ({"bodies": {"sat": BOX}}, "name 'sat' is used twice"),
         (
             {"bodies": {"box": {**BOX, "pose": {"rpy": [0, 0, 0], "quaternion": [0, 0, 0, 1]}}}},
             "bodies.box.pose: give either 'rpy' or 'quaternion'",

@@ -75,9 +75,9 @@ def test_locked_joint_equals_a_joint_fixed_by_hand():
         ({"locked": {"nose": 0.0}}, "locked: joint 'nose' does not exist"),
         ({"locked": {"flange_fix": 0.0}}, "locked: joint 'flange_fix' is fixed already"),
         ({"rename": {"nose": "a"}}, "rename: no joint 'nose'; the robot has joint1, "),
-        ({"rename": {"joint1": "joint2"}}, "rename: two joints would be called joint2"),
+        ({"rename": {"joint1": "joint2"}}, "rename: two joints would have the name joint2"),
         ({"rename": {"joint1": ""}}, "rename: the new name of 'joint1' is empty"),
-        ({"base": "flying"}, "base 'flying', accepted: fixed, floating"),
+        ({"base": "flying"}, "base is 'flying', accepted: fixed, floating"),
     ],
 )
 def test_options_that_do_not_fit_are_named(options, message):
