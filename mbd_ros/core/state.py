@@ -143,6 +143,13 @@ def is_same(one: State, other: State) -> bool:
     )
 
 
+def is_same_input(u: Array | None, other: Array | None) -> bool:
+    """Whether two inputs are equal; NaN is equal to NaN, and 0 is not equal to -0."""
+    if u is None or other is None or u is other:
+        return u is other
+    return u.tobytes() == other.tobytes()
+
+
 def is_symbol(value: object) -> bool:
     """Whether a number is an expression, as in a system that is traced."""
     return hasattr(value, "piecewise")

@@ -35,7 +35,7 @@ def verify(library: Library, traced: Traced, system: System, p: Array = NONE) ->
     """
     rng = np.random.default_rng(_SEED)
     for _ in range(_STATES):
-        mode = () if system.exact is None else _mode(system.exact, rng)
+        mode = () if system.event_rows is None else _mode(system.event_rows, rng)
         y = some_state(system, rng)._replace(mode=mode)
         held, u = some_inputs(system, y.t, rng)
         values = y.t, y.q, y.v, y.z, u, np.append(p, mode)

@@ -135,7 +135,7 @@ class CompiledMethod(NativeMethod):
         given = run, plain, self._corrects(system), system.loads.idle
         if not sizes.modes:
             return NativeStepper(*given)
-        gaps = [i for i, reach in enumerate(system.exact.reach) if reach is Reach.GAP]
+        gaps = [i for i, reach in enumerate(system.event_rows.reach) if reach is Reach.GAP]
         return ModeStepper(*given, self.traced.keys, gaps)
 
     def _built(self, system: Any, dt: float) -> Built:
@@ -143,7 +143,7 @@ class CompiledMethod(NativeMethod):
         key = self.method.native, self._is_projected(system), self._stabilization.gains(dt)
         if key not in self._kept:
             in_world = isinstance(system, InWorldAxes)
-            own, mode = system.system if in_world else system, None if system.exact else ()
+            own, mode = system.system if in_world else system, None if system.event_rows else ()
             traced = trace(own, mode=mode, in_world=in_world)
             sizes = self.sizes(system, traced)
             source = with_integrators(emitted(traced, sizes.functions), sizes)
@@ -180,7 +180,7 @@ def _modes(system: Any, traced: Traced) -> dict[str, int]:
     """What a source has to know of unilateral rows."""
     if not traced.switches:
         return {}
-    reach = system.exact.reach
+    reach = system.event_rows.reach
     counts = {kind: reach.count(kind) for kind in Reach}
     slips, demands = counts[Reach.SLIP], counts[Reach.DEMAND]
     return {

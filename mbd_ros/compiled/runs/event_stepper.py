@@ -39,7 +39,7 @@ class EventStepper(EventSteps, BlockStepper):
         self._has_clearance = False  # native code looks after every step
         self._is_behind = False  # the native state is behind a step that is to be searched
         self._is_new = False  # the native state is newer than the last one known here
-        self.stride = self._strides
+        self.can_stride = True
 
     @property
     def evaluations(self) -> int:
@@ -76,9 +76,8 @@ class EventStepper(EventSteps, BlockStepper):
         """What is integrated, before a step that is to be searched."""
         if self._is_new:
             self._is_new = False
-            mode = self.field.mode
             if self._is_behind:
-                self._last = self._run.began()._replace(mode=mode)
+                self._last = self._run.began()._replace(mode=self.mode)
             else:
                 self._last = self._native.newest_state()
         assert self._last is not None
@@ -101,7 +100,8 @@ class EventStepper(EventSteps, BlockStepper):
             return SampleBlock(np.concatenate((before, rows)), self._run.interval, False)
         if not self._is_ready(self.state, held.values[0]):
             return SampleBlock(np.zeros((0, self._run.row)), 0, True)
-        if self.field.on or self.field.drives:  # which inputs that jump decide anew
+        if self.field.active(self.mode) or self.field.drives(self.mode):
+            # inputs that jump decide the mode again
             held = HeldTable(*(column[:1] for column in held))
         self._native.enter(self.state)
         rows, status = self._run.samples(times, held, steps, most)
@@ -135,7 +135,7 @@ class EventStepper(EventSteps, BlockStepper):
         if self._is_behind:
             self._is_behind = False
             self._native.handed_over += 1
-            after = self._searched(x, u, end, self._native.newest_state())
+            after = self._search(x, u, end, self._native.newest_state())
         else:
             after = super().step(x, u, end)
         if after is x or not np.isfinite(after.v).all():
@@ -145,8 +145,15 @@ class EventStepper(EventSteps, BlockStepper):
             super().continue_from(corrected)
         return corrected
 
-    def _strides(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
-        """Several steps at once, as far as the mode goes on."""
+    def stride(
+        self,
+        x: State,
+        u: Array | None,
+        end: float,
+        most: int,
+        watch: Callable[[Array], bool] | None = None,
+    ) -> tuple[State, int]:
+        """Advance by several steps at once, as far as the mode goes on."""
         x = self._known(x)
         if self._is_behind or not x.t < end or not self._is_ready(x, u):
             return self.step(x, u, end), 1
@@ -185,11 +192,11 @@ class EventStepper(EventSteps, BlockStepper):
         """Whether native code goes on from the state after the last step."""
         if self._is_behind:
             return False
-        self._last = self._settled(x, u)
-        happens, left = self._transitions, self._run.left
+        self._last = self._settle(x, u)
+        transitions, left = self._transitions, self._run.left
         left[:] = 0.0
-        left[[*happens.left]] = 1.0
-        return self._native.is_compiled and not happens.rests
+        left[[*transitions.left]] = 1.0
+        return self._native.is_compiled and not transitions.rests
 
     def _came_back(self, status: Status) -> None:
         self._is_behind, self._is_new = status is Status.GUARD, True

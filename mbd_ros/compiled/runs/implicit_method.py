@@ -85,7 +85,7 @@ def refuse_bounds(system: System) -> None:
     Raises:
         Untraceable: There are some.
     """
-    if system.bounded is not None or system.exact is not None:
+    if system.bounded is not None or system.event_rows is not None:
         raise Untraceable("rows that give way have no derivatives across their bounds")
 
 

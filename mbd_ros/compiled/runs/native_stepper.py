@@ -88,11 +88,22 @@ class NativeStepper(BlockStepper):
         """Advance by one step; x itself at or after `end`."""
         return self.stride(x, u, end, 1)[0]
 
-    def stride(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
+    def stride(
+        self,
+        x: State,
+        u: Array | None,
+        end: float,
+        most: int,
+        watch: Callable[[Array], bool] | None = None,
+    ) -> tuple[State, int]:
         """Advance by several steps.
 
         Args:
-            most: How many steps are taken at most.
+            x: State to start from.
+            u: Inputs, held over the steps.
+            end: Time that the steps do not go beyond [s].
+            most: Largest number of steps that are taken.
+            watch: Not called: native code watches its steps itself.
 
         Returns:
             The last state, and how many steps were taken.

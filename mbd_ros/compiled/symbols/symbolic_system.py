@@ -53,7 +53,7 @@ class SymbolicSystem:
         in_world: bool = False,
     ) -> None:
         self.system, self.parameters, self.tier = system, parameters, system.tier
-        self.switches = len(system.exact.names) if mode is None and system.exact else 0
+        self.switches = len(system.event_rows.names) if mode is None and system.event_rows else 0
         p = ca.SX.sym("p", len(parameters) + self.switches)
         self._symbolic = parts_of(made, parameters, p[: len(parameters)])
         self.tree = self._with_drive_inertias(tree_of(system.model))

@@ -73,7 +73,7 @@ class UnilateralRows:
 
     def _trace_rows(self, system: SymbolicSystem) -> None:
         """What all modes share."""
-        bounded, event_driven = system.system.bounded, system.system.exact
+        bounded, event_driven = system.system.bounded, system.system.event_rows
         if bounded is not None:
             name = bounded.constraints.rows[0].name
             raise Untraceable(f"row {name} is smoothed: its bounds are solved for everywhere")

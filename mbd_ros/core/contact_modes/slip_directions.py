@@ -31,12 +31,12 @@ def slowest(x: State) -> float:
     return NO_SLIP * (1.0 + float(np.abs(x.v).max()))
 
 
-def begun(along: Array) -> Mode:
+def initial_name(along: Array) -> Mode:
     """Name of a slip that begins along an acceleration, shape (2,): it is straight at first."""
     return _finely(along, STRAIGHT) if along.any() else (1, 1)
 
 
-def named(slip: Array, rate: Array, slack: float, slow: float) -> Mode:
+def slip_name(slip: Array, rate: Array, slack: float, slow: float) -> Mode:
     """Name of a slip.
 
     Args:
@@ -71,7 +71,7 @@ def direction(slip: Array, name: Mode) -> Array:
     return slip / (-size if name and slip.dot(name) < 0.0 else size)
 
 
-def ends(slip: Array, name: Mode, x: State) -> tuple[float, ...]:
+def slip_margins(slip: Array, name: Mode, x: State) -> tuple[float, ...]:
     """How far a slip is from where it ends, or is named anew."""
     size, none = math.hypot(*name), slowest(x)
     along = float(slip.dot(name)) / size

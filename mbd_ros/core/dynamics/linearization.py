@@ -112,18 +112,23 @@ class Linearization:
 
 
 def mode_at(system: System, y: State, u: Array | None) -> Mode:
-    """The mode of the exact rows at a state: across an event a difference quotient is no slope.
+    """Return the mode of the event-driven rows at a state.
+
+    Derivatives are taken in one mode: across an event a difference quotient is no slope.
 
     Args:
-        y: State of what it integrates; its own mode, if it has one.
+        system: The system.
+        y: State of what it integrates; its own mode is returned, if it has one.
+        u: Inputs there.
     """
-    exact = system.exact
-    if exact is None or y.mode:
-        return () if exact is None else y.mode
-    ways, near = exact.ways(y)
-    exact.solve(y, u, ways, near)
-    found = exact.found()
-    return tuple(found[i] if i in near else way for i, way in enumerate(ways))
+    rows = system.event_rows
+    if rows is None or y.mode:
+        return () if rows is None else y.mode
+    mode, near = rows.modes_by_distance(y)
+    if not near:
+        return mode
+    decided = rows.decided_mode(rows.solve(y, u, mode, near))
+    return tuple(decided[i] if i in near else side for i, side in enumerate(mode))
 
 
 class FreeDerivatives:

@@ -20,7 +20,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.rows.delassus import RowFactor, UsualSizes, usual_sizes
-from mbd_ros.core.state import NONE, Array, Mode, State
+from mbd_ros.core.state import Array, State
 
 
 class Mechanism:
@@ -38,8 +38,6 @@ class Mechanism:
         k: Kinematics over `data`.
         zero: No velocity and no force, shape (nv,), not to be written to.
         evaluations: How often the equations of motion were asked.
-        mode: Of the state that is evaluated, for the loads; () in accelerators.
-        z: Internal states of the state that is evaluated, for loads and rows.
     """
 
     def __init__(self, robot: Robot, loads: Loads) -> None:
@@ -50,15 +48,13 @@ class Mechanism:
         self.k = Kinematics(robot, self.data)
         self.zero: Array = np.zeros(self.model.nv)
         self.evaluations = 0
-        self.mode: Mode = ()
-        self.z: Array = NONE
 
-    def tau(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
-        """Loads at a state of all joints, shape (nv,), not to be written to."""
+    def tau(self, x: State, u: Array | None) -> Array:
+        """Return the force of the loads at a state of all joints, shape (nv,), read-only."""
         if self.loads.is_empty:
             return self.zero
-        self.k.refresh(q, v, self.loads.reads)
-        return self.loads.total(self.k, State(t, q, v, self.z, self.mode), u)
+        self.k.refresh(x.q, x.v, self.loads.reads)
+        return self.loads.total(self.k, x, u)
 
     def mass(self, q: Array) -> Array:
         """Mass matrix of all joints, symmetric, shape (nv, nv), overwritten by the next call."""

@@ -48,7 +48,7 @@ class PhasedSystem:
         self.slots = slots
         self.first = first
         self.multiplier_rows = layout.rows
-        names = [() if s.exact is None else s.exact.names for s in systems]
+        names = [() if s.event_rows is None else s.event_rows.names for s in systems]
         self.switches = tuple(dict.fromkeys(name for each in names for name in each))
         self._at = [[self.switches.index(name) for name in each] for each in names]
         now = self._now = self.systems[first]
@@ -66,7 +66,7 @@ class PhasedSystem:
         self.constraints = now.constraints
         self.held = now.held
         self.bounded = now.bounded
-        self.exact = now.exact
+        self.event_rows = now.event_rows
 
     def phase(self, x: State) -> int:
         """Number of the phase of a state."""

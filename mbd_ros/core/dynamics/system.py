@@ -25,14 +25,15 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.rows.constraint import Row
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowLayout
 from mbd_ros.core.rows.delassus import RowFactor, UsualSizes
-from mbd_ros.core.state import Array, Evaluation, Mode, State
+from mbd_ros.core.state import NONE, Array, Evaluation, Mode, State
 
 if TYPE_CHECKING:
-    from mbd_ros.core.contact_modes.event_rows import ExactRows
+    from mbd_ros.core.contact_modes.event_rows import EventRows
 
 # t, q, v, u and what is written; with internal states t, q, v, z, u and what is written, a and z'
 Accelerator = Callable[..., None]
-Acceleration = Callable[[float, Array, Array, Array | None], Array]
+Acceleration = Callable[[State, Array | None], Array]  # of a state of what is integrated, and u
+_new_state = tuple.__new__  # half the time of the constructor
 
 
 class System(Protocol):
@@ -53,8 +54,9 @@ class System(Protocol):
         constraints: The same, stacked.
         held: All bilateral rows, those of velocities included: what velocities and accelerations
             keep, and positions need not. `held.rows` is `rows` where no row states velocities.
-        bounded: Rows that give way and are solved for in every evaluation, None without any.
-        exact: Rows that give way at events only, None without any.
+        bounded: Bounded rows that are solved for in every evaluation, None without any.
+        event_rows: Unilateral and bounded rows whose mode changes at events only; None without
+            any.
         layout: Which multipliers of an `Evaluation` are those of which rows.
         multiplier_rows: What they are, in the same order under every tier.
         sizes: What masses and these rows usually are; None without rows.
@@ -75,7 +77,7 @@ class System(Protocol):
     constraints: ConstraintRows
     held: RigidRows
     bounded: BoundedRows | None
-    exact: ExactRows | None
+    event_rows: EventRows | None
     layout: RowLayout
     multiplier_rows: tuple[Row, ...]
     sizes: UsualSizes | None
@@ -210,11 +212,16 @@ class FreeMotion(Protocol):
     def coordinates(self) -> Coordinates:
         """What is integrated, beside all joints."""
 
-    def accelerate(self, t: float, q: Array, v: Array, u: Array | None) -> Array:
-        """The y'' at a state of y, shape (nv,); the next call may overwrite it."""
+    def accelerate(self, y: State, u: Array | None) -> Array:
+        """Return y'' at a state, shape (nv,); the next call may overwrite it.
 
-    def accelerator(self) -> Accelerator:
-        """The function that writes what `accelerate` returns."""
+        Args:
+            y: State with internal states inside their bounds, and with the mode for the loads.
+            u: Inputs, as for `System.evaluate`.
+        """
+
+    def accelerator(self, mode: Mode = ()) -> Accelerator:
+        """Return the function of t, q, v, u that writes the result of `accelerate` in a mode."""
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
         """q, v and a of all joints from y and y'' at the state of the last `accelerate`."""
@@ -262,15 +269,20 @@ class Coordinates(Protocol):
     def mass(self, q: Array) -> Array:
         """Mass matrix of y, shape (nv, nv), overwritten by the next call."""
 
-    def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h on y, shape (nv,)."""
+    def applied(self, y: State, u: Array | None) -> Array:
+        """Return the generalized force tau - h on y, shape (nv,)."""
 
 
-def writing(accelerate: Acceleration) -> Accelerator:
-    """A function of t, q, v, u that writes its result into a fifth argument, shape (nv,)."""
+def writing(accelerate: Acceleration, mode: Mode = ()) -> Accelerator:
+    """Return a function of t, q, v, u that writes accelerations into its fifth argument.
+
+    Args:
+        accelerate: The accelerations at a state.
+        mode: Mode of the states.
+    """
 
     def write(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-        out[...] = accelerate(t, q, v, u)
+        out[...] = accelerate(_new_state(State, (t, q, v, NONE, mode)), u)
 
     return write
 

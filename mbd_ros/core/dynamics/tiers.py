@@ -20,7 +20,7 @@ from mbd_ros.core.rows.delassus import UsualSizes
 from mbd_ros.errors import ModelError
 
 if TYPE_CHECKING:
-    from mbd_ros.core.contact_modes.event_rows import ExactRows
+    from mbd_ros.core.contact_modes.event_rows import EventRows
 
 TIERS = ("auto", "aba", "reduced", "kkt", "qp")
 
@@ -104,20 +104,21 @@ class _Plan:
         acting = ConstraintRows(blocks, nv, gains)
         bounded = BoundedRows(acting, nv, self._backend) if blocks else None
         motion = self._motion(mechanism, held)
-        exact = self._exact(motion, gains)
-        parts = rigid, held, bounded, exact, self._layout, self._internals
+        event_rows = self._event_rows(motion, gains)
+        parts = rigid, held, bounded, event_rows, self._layout, self._internals
         return ComposedSystem(motion, *parts, self.build)
 
-    def _exact(self, motion: FreeMotion, gains: tuple[float, float]) -> "ExactRows | None":
-        exact, nv = self._layout.exact, self._robot.model.nv
-        if not exact:
+    def _event_rows(self, motion: FreeMotion, gains: tuple[float, float]) -> "EventRows | None":
+        blocks, nv = self._layout.event_rows, self._robot.model.nv
+        if not blocks:
             return None
-        from mbd_ros.core.contact_modes.event_rows import ExactRows
+        from mbd_ros.core.contact_modes.event_rows import EventRows
         from mbd_ros.core.contact_modes.row_distances import stiff
 
-        every = sorted((*self._limited, *map(stiff, exact)), key=lambda block: block.slots.start)
-        solver = BoundedRows(ConstraintRows(every, nv, gains), nv, self._backend)
-        return ExactRows(motion, solver)
+        together = (*self._limited, *map(stiff, blocks))
+        ordered = sorted(together, key=lambda block: block.slots.start)
+        solver = BoundedRows(ConstraintRows(ordered, nv, gains), nv, self._backend)
+        return EventRows(motion, solver)
 
     def _motion(self, mechanism: Mechanism, held: RigidRows) -> FreeMotion:
         is_heavy = bool(mechanism.loads.heavy)

@@ -63,8 +63,8 @@ class ImplicitLoads:
     def force(self, x: State, u: Array | None) -> Array:
         """Generalized force tau - h at a state of all joints, shape (nv,)."""
         mechanism = self._mechanism
-        mechanism.z = self._internals.inside(x.z)
-        return mechanism.tau(x.t, x.q, x.v, u) - mechanism.bias(x.q, x.v)
+        inside = x._replace(z=self._internals.inside(x.z))
+        return mechanism.tau(inside, u) - mechanism.bias(x.q, x.v)
 
     def rates(self, x: State, u: Array | None) -> Array:
         """Rates of the internal states there, shape (nz,)."""

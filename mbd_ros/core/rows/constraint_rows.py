@@ -174,7 +174,7 @@ class RowLayout:
         )
         self.rigid = tuple(block for block in self.blocks if block.law.is_rigid)
         self.yielding = tuple(block for block in self.blocks if not block.law.is_rigid)
-        self.exact = tuple(block for block in self.yielding if not block.smoothed)
+        self.event_rows = tuple(block for block in self.yielding if not block.smoothed)
         self.smoothed = tuple(block for block in self.yielding if block.smoothed)
         self.cones = tuple(cone for block in self.blocks for cone in block.cones())
 

@@ -58,7 +58,7 @@ def modes_of(scene: Scene, task: PredictTask) -> list[PhaseMode]:
 
 
 def _mode(system: System) -> Mode:
-    return (_OFF,) * len(system.exact.names) if system.exact is not None else ()
+    return (_OFF,) * len(system.event_rows.names) if system.event_rows is not None else ()
 
 
 class PhaseMode(NamedTuple):

@@ -41,7 +41,7 @@ class Clearance:
     """
 
     def __init__(self, system: System, dt: float) -> None:
-        blocks = system.layout.exact
+        blocks = system.layout.event_rows
         stops = [stop for block in blocks for stop in block.part.stops]
         touching = [block for block in blocks if block.law.kind is Kind.CONE]
         self._contacts = _contact_room(system, touching)

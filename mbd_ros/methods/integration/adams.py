@@ -35,6 +35,7 @@ class AdamsSteps(Stepper):
         dt: Length of a step [s].
     """
 
+    can_stride = True
     kept = ("_known", "_last", "_ready", "_held", "_start")
 
     def __init__(self, system: Any, order: int, dt: float) -> None:
@@ -75,18 +76,7 @@ class AdamsSteps(Stepper):
         most: int,
         watch: Callable[[Array], bool] | None = None,
     ) -> tuple[State, int]:
-        """Advance by several full steps, without the states in between.
-
-        Args:
-            x: As for `step`.
-            u: As for `step`.
-            end: As for `step`.
-            most: How many steps are taken at most.
-            watch: Is told the velocity after each step, and says whether to stop there.
-
-        Returns:
-            The last state, and how many steps were taken.
-        """
+        """Advance by several full steps, without the states in between."""
         t, q, v, _, _ = x
         count = min(most, int((end - t) / self._dt - _LAST))
         held = None if u is None else u.tobytes()

@@ -86,10 +86,12 @@ class Stepper:
         is_fixed: Whether steps are as long as dt, those apart that end early.
         ends_at_samples: Whether a step that follows one which ended early ends at the next sample,
             as ticks of a live simulation have it; otherwise samples are interpolated until then.
-        guards: Names of what may happen at one time.
+        can_stride: Whether `stride` takes several steps at once faster than one by one.
+        guards: Names of the guards whose events may fall together.
         switches: Names of those that a mode has an entry for, in that order.
     """
 
+    can_stride: bool = False
     system: Any = None
     kept: ClassVar[tuple[str, ...]] = ()
     is_fixed: bool = True
@@ -109,6 +111,28 @@ class Stepper:
             DivergedError: The state is no longer finite, or an iteration does not converge.
         """
         raise NotImplementedError
+
+    def stride(
+        self,
+        x: State,
+        u: Array | None,
+        end: float,
+        most: int,
+        watch: Callable[[Array], bool] | None = None,
+    ) -> tuple[State, int]:
+        """Advance by several full steps, without the states in between; see `can_stride`.
+
+        Args:
+            x: State to start from; normally what the last step returned.
+            u: Commands, held over the steps; None without actuators.
+            end: Time that the steps do not go beyond [s].
+            most: Largest number of steps that are taken.
+            watch: Called with the velocity after each step; the steps stop where it returns True.
+
+        Returns:
+            The last state, and the number of steps that were taken.
+        """
+        return self.step(x, u, end), 1
 
     def settle(self, x: State, u: Array | None) -> State:
         """The first state with the mode in which it goes on.
@@ -254,6 +278,7 @@ class BlockStepper(Stepper):
         spans_samples: Whether samples follow that are inside a step which was taken alone.
     """
 
+    can_stride = True
     handed_over: int = 0
     takes_blocks: bool = True
     spans_samples: bool = False
@@ -266,14 +291,6 @@ class BlockStepper(Stepper):
     @property
     def evaluations(self) -> int:
         """How often accelerations were computed, those of the system apart."""
-        raise NotImplementedError
-
-    def stride(self, x: State, u: Array | None, end: float, most: int) -> tuple[State, int]:
-        """Advance by several steps, as `Stepper.step`.
-
-        Returns:
-            The last state, and how many steps of at most `most` were taken.
-        """
         raise NotImplementedError
 
     @property

@@ -46,7 +46,7 @@ class ParticleSystem:
     model = None
     k = None
     bounded = None
-    exact = None
+    event_rows = None
     sizes = None
     condition = 1.0
 

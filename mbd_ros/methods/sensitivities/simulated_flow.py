@@ -330,8 +330,7 @@ class SmoothMotion:
         y = project(self.system, y)
         if self._field is None or self._field.rows is None:
             return y
-        self._field.mode = y.mode
-        return self._field.onto_rows(y)
+        return self._field.project_rows(y, y.mode)
 
     def rate(self, y: State) -> Array:
         """Velocities, accelerations and rates of internal states in its mode."""
@@ -345,33 +344,32 @@ class SmoothMotion:
 
     def margin_at(self, names: tuple[str, ...], y: State) -> Margin:
         """Which margin is zero where something of these names happens in this mode."""
-        field = self._watched(y)
+        field = self._switches()
         numbers = {field.names.index(name) for name in names}
-        guards = [i for i in numbers if i >= len(field.mode)]
+        guards = [i for i in numbers if i >= len(y.mode)]
         if guards:
             return guards[0], 0
-        margins = {m: v for m, v in field.margins(y, None).items() if m[0] in numbers}
+        margins = {m: v for m, v in field.margins(y, None, y.mode).items() if m[0] in numbers}
         return min(margins, key=lambda which: abs(margins[which]))
 
     def margin(self, y: State, which: Margin) -> float:
         """A margin of the mode; of a guard of a part its value."""
-        field, first = self._watched(y), len(y.mode)
+        field, first = self._switches(), len(y.mode)
         if which[0] >= first:
             return float(field.guards.values(y, None, y.mode)[which[0] - first])
-        return field.margin(y, None, which)
+        return field.margin(y, None, y.mode, which)
 
     def after(self, y: State, which: Margin) -> State:
         """The state after what happens where a margin is zero."""
-        field = self._watched(y)
+        field = self._switches()
         if which[0] >= len(y.mode):
             return field.reset(y, None, [which[0]])
         assert self._transitions is not None
-        self._transitions.forget()
-        return self._transitions.happened(y, None, which)
+        self._transitions.restart()
+        return self._transitions.happen(y, None, which)
 
-    def _watched(self, y: State) -> ModeField:
+    def _switches(self) -> ModeField:
         assert self._field is not None
-        self._field.mode = y.mode
         return self._field
 
 

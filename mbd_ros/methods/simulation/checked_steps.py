@@ -65,7 +65,6 @@ class CheckedSteps:
         self.system: System = self.stepper.system or system
         self.guards = self.stepper.guards
         self.switches = self.stepper.switches
-        self._stride = getattr(self.stepper, "stride", None)  # several steps at once, if it can
         self.steps = 0
         self.worst = (1.0, 0.0)
         has_stops = any(block.part.stops for block in system.layout.smoothed)
@@ -100,10 +99,10 @@ class CheckedSteps:
     def _step(self, y: State, u: Array | None, end: float, most: int = 1) -> State:
         """One step, or up to `most` that nothing looks at in between."""
         try:
-            if most == 1 or self._stride is None:
+            if most == 1 or not self.stepper.can_stride:
                 after, count = self.stepper.step(y, u, end), 1
             else:
-                after, count = self._stride(y, u, end, most)
+                after, count = self.stepper.stride(y, u, end, most)
         except (DivergedError, SolveError) as error:
             raise type(error)(f"{error}; {last_finite(self.system, y)}") from error
         self.steps += count
@@ -331,7 +330,7 @@ def stepper_of(method: Integrator, system: System, dt: float) -> Stepper:
 
 def happenings(system: System) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Names of the exact rows that give way, and of parts with guards."""
-    rows = () if system.exact is None else tuple(system.exact.names)
+    rows = () if system.event_rows is None else tuple(system.event_rows.names)
     return rows, tuple(part.name for part in _parts(system) if part.guards)
 
 

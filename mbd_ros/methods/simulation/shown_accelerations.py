@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.contact_modes.slip_directions import begun
+from mbd_ros.core.contact_modes.slip_directions import initial_name
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.state import Array, Mode, State
 from mbd_ros.errors import SolveError
@@ -109,34 +109,37 @@ def _mode(cone: Cone, force: Array, least: float) -> Mode:
         return OPEN
     if math.hypot(x, y) < _AT_BOUND * cone.mu * normal:
         return STICKS
-    return 0, *begun(-force[1:])
+    return 0, *initial_name(-force[1:])
 
 
 def _in_modes(simulation: Simulation, x: State, u: Array | None, modes: list[Mode]) -> State:
     """The state with these modes of contacts, and of other rows those that it decides."""
     system = simulation.system
-    exact = system.exact
-    assert exact is not None
-    assert exact.contacts is not None
-    y, cones, slots = system.reduce(x), system.layout.cones, exact.slots.tolist()
-    ways, free = exact.ways(y) if len(slots) > 3 * len(cones) else ((1,) * len(slots), [])
+    rows = system.event_rows
+    assert rows is not None
+    assert rows.contacts is not None
+    y, cones, slots = system.reduce(x), system.layout.cones, rows.slots.tolist()
+    has_others = len(slots) > 3 * len(cones)
+    decided, undecided = rows.modes_by_distance(y) if has_others else ((1,) * len(slots), [])
     slips = np.zeros((len(cones), 2))
     if any(any(mode) and not mode[0] for mode in modes):
         system.k.refresh(x.q, x.v, Reads.JACOBIAN)
-        slips = exact.contacts.slips(system.k, x)
-    whole, mine = list(ways), set[int]()
+        slips = rows.contacts.slips(system.k, x)
+    entries, of_contacts = list(decided), set[int]()
     for cone, mode, slip in zip(cones, modes, slips, strict=True):
         first = slots.index(cone.slots.start)
         goes_on = not mode[0] and any(mode) and slip.dot(mode[1:]) > 0.0
-        whole[first : first + 3] = (0, *begun(slip)) if goes_on else mode
-        mine.update(range(first, first + 3))
-    others = [row for row in free if row not in mine]
+        entries[first : first + 3] = (0, *initial_name(slip)) if goes_on else mode
+        of_contacts.update(range(first, first + 3))
+    others = [row for row in undecided if row not in of_contacts]
     if others:
-        exact.solve(y, u, tuple(whole), others)
+        solution = rows.solve(y, u, tuple(entries), others)
         for row in others:
-            lam, ends = float(exact.lam[row]), (float(exact.lower[row]), float(exact.upper[row]))
-            whole[row] = 1 if lam <= ends[0] else -1 if lam >= ends[1] else 0
-    return x._replace(mode=tuple(whole))
+            if solution.lam[row] <= solution.lower[row]:
+                entries[row] = 1
+            else:
+                entries[row] = -1 if solution.lam[row] >= solution.upper[row] else 0
+    return x._replace(mode=tuple(entries))
 
 
 def _lawful(cone: Cone, mode: Mode, force: Array, most: float) -> Mode:
@@ -147,7 +150,7 @@ def _lawful(cone: Cone, mode: Mode, force: Array, most: float) -> Mode:
     if normal < -most:
         return OPEN
     if not any(mode) and math.hypot(x, y) > cone.mu * normal + most:
-        return 0, *begun(-force[1:])
+        return 0, *initial_name(-force[1:])
     return mode
 
 
@@ -167,8 +170,8 @@ def seen_ahead(simulation: Simulation, x: State, u: Array | None) -> Seen:
 def _with_means(simulation: Simulation, x: State, u: Array | None, forces: Array) -> Seen:
     """Accelerations under given forces of the rows that give way."""
     system, slots = simulation.system, _yielding(simulation)
-    assert system.exact is not None
-    now = system.evaluate(x._replace(mode=(1,) * len(system.exact.names)), u)
+    assert system.event_rows is not None
+    now = system.evaluate(x._replace(mode=(1,) * len(system.event_rows.names)), u)
     lam = now.lam.copy()
     lam[slots] = forces
     J = np.concatenate([block.part.jacobian(system.k, x) for block in system.layout.yielding])

@@ -374,7 +374,7 @@ def forward_cost(scene: Scene, system: System, x: State) -> str:
     model, entry = system.model, scene.initial
     bare = _best(partial(pin.aba, model, pin.Data(model), entry.q, entry.v, np.zeros(model.nv)))
     y = x  # else in its mode
-    if system.exact is not None:
+    if system.event_rows is not None:
         simulation = build_simulation(scene, solver=_PLAIN)
         y = inward(simulation.system, simulation.start(entry))
     ours = _best(evaluation_at(system, y))
