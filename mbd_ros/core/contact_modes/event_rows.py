@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.complementarity.bounded_rows import BoundedRows
-from mbd_ros.core.contact_modes.row_distances import Reach, RowDistances, reach_of
+from mbd_ros.core.contact_modes.row_distances import Distances, Reach, RowDistances, reach_of
 from mbd_ros.core.contact_modes.row_solution import RowSolution
 from mbd_ros.core.kinematics.kinematics import Reads
 from mbd_ros.core.rows.constraint_rows import ConstraintRows, RowBlock
@@ -67,7 +67,7 @@ class EventRows:
             self.contacts = EventContacts(rows, self._at)
             self._contact_modes = ContactModes(self.contacts)
         self._distances = RowDistances(motion, rows, self._at, self.reach, self.contacts)
-        self.distances = self._distances.distances
+        self.measure = self._distances.measure
         self.rates = self._distances.rates
         self.modes_by_distance = self._distances.modes
         self.project = self._distances.project
@@ -223,12 +223,12 @@ class EventRows:
         return tuple(sides)
 
     def friction_margins(
-        self, y: State, solution: RowSolution, mode: Mode
+        self, measured: Distances, solution: RowSolution, mode: Mode
     ) -> dict[tuple[int, int], float]:
         """Return the margins of the normals and tangents of contacts in a mode."""
         if self.contacts is None:
             return {}
-        return self._contact_modes.margins(*self._distances.slips(y), solution, mode)
+        return self._contact_modes.margins(*self._distances.slips(measured), solution, mode)
 
     def modes_after(
         self, y: State, u: Array | None, mode: Mode, switch: int, side: int
@@ -266,9 +266,9 @@ class EventRows:
         if self.contacts is None or not self._contact_modes.slipping(mode):
             return {}
         if switch is None:
-            chosen = self._contact_modes.turned(*self._distances.slips(y), mode)
+            chosen = self._contact_modes.turned(*self._slips(y), mode)
         elif self.reach[switch] is Reach.FRICTION and mode[switch]:
-            chosen = self._contact_modes.slow(*self._distances.slips(y), mode, switch)
+            chosen = self._contact_modes.slow(*self._slips(y), mode, switch)
         else:
             return {}
         if not chosen:
@@ -279,8 +279,11 @@ class EventRows:
         """Return the normals of contacts that slip, among those of closed ones."""
         if self.contacts is None:
             return []
-        moving = self._contact_modes.moving_normals(*self._distances.slips(y))
+        moving = self._contact_modes.moving_normals(*self._slips(y))
         return [i for i in moving if i in closed]
+
+    def _slips(self, y: State) -> tuple[Array, State]:
+        return self._distances.slips(self._distances.measure(y))
 
     def longest_step(self, y: State, u: Array | None, mode: Mode) -> float:
         """Return the length of a step in which no slip of a contact changes by much [s]."""

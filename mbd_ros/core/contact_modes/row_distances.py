@@ -10,7 +10,7 @@ judged by its multiplier.
 from __future__ import annotations
 
 from enum import Enum
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,20 @@ if TYPE_CHECKING:
     from mbd_ros.core.contact_modes.mode_equations import EventContacts
 
 _CORRECTIONS = 4  # of a configuration
+
+
+class Distances(NamedTuple):
+    """Distances of a state, measured once.
+
+    Attributes:
+        x: State of all joints.
+        distances: Gaps, slip velocities, and 1 for rows without a distance, shape (n,).
+        rates: The g' of all rows, shape (n,); None where no distance needs them.
+    """
+
+    x: State
+    distances: Array
+    rates: Array | None
 
 
 class RowDistances:
@@ -64,30 +78,47 @@ class RowDistances:
             [is_rigid and level is Level.POSITION for is_rigid, level in rigid]
         )
 
-    def distances(self, y: State) -> Array:
-        """Return gaps, slip velocities, and 1 for rows without a distance, shape (n,)."""
+    def measure(self, y: State) -> Distances:
+        """Measure the distances of a state of what is integrated, and the rates that they need."""
         k, x = self._motion.mechanism.k, self.expand(y)
         rates = self._rates_at(x) if self._has_rates else None
         g = self._rows.residual(k, x)[self._at] if self._has_gaps else None
-        return self._distances(g, rates)
+        return Distances(x, self._distances(g, rates), rates)
 
-    def rates(self, y: State) -> Array:
-        """Return the g' of all rows, shape (n,)."""
+    def rates(self, y: State, measured: Distances | None = None) -> Array:
+        """Return the g' of all rows, shape (n,).
+
+        Args:
+            y: State of what is integrated.
+            measured: Its distances, where they are known.
+        """
+        if measured is not None and measured.rates is not None:
+            return measured.rates
         return self._rates_at(self.expand(y))
 
-    def slips(self, y: State) -> tuple[Array, State]:
+    def slips(self, measured: Distances) -> tuple[Array, State]:
         """Return the velocities of contacts along their planes, shape (c, 2), and all joints."""
-        return self.rates(y)[self._pairs], self._motion.coordinates.expand(y)
+        assert measured.rates is not None
+        return measured.rates[self._pairs], measured.x
 
-    def modes(self, y: State) -> tuple[Mode, list[int]]:
-        """Return the modes that the distances say, and the rows that may be active."""
-        return self.modes_at(self.expand(y))
+    def modes(self, y: State, measured: Distances | None = None) -> tuple[Mode, list[int]]:
+        """Return the modes that the distances say, and the rows that may be active.
+
+        Args:
+            y: State of what is integrated.
+            measured: Its distances, where they are known.
+        """
+        measured = self.measure(y) if measured is None else measured
+        return self._modes(measured.x, measured.distances, self.rates(y, measured))
 
     def modes_at(self, x: State) -> tuple[Mode, list[int]]:
         """Return the same at a state of all joints, with k as the rows need it."""
         rates = self._rates_at(x)
         g = self._rows.residual(self._motion.mechanism.k, x)[self._at] if self._has_gaps else None
-        distances, slack = self._distances(g, rates), rounding(x)
+        return self._modes(x, self._distances(g, rates), rates)
+
+    def _modes(self, x: State, distances: Array, rates: Array) -> tuple[Mode, list[int]]:
+        slack = rounding(x)
         active = np.where(self._is_gap, distances, np.abs(distances)) <= slack
         active &= ~self._is_gap | (rates <= slack)
         active |= ~(self._is_gap | self._is_slip)
@@ -107,14 +138,17 @@ class RowDistances:
         active = np.array([not side for side in mode[: len(self._at)]], dtype=np.bool_)
         gaps = active & self._is_gap
         slips = active & (self._is_gap | self._is_slip | self._is_friction)
+        measured = None
         for _ in range(_CORRECTIONS if gaps.any() else 0):
-            g = self.distances(y)
+            measured = self.measure(y)
+            g = measured.distances
             if np.abs(g[gaps]).max() <= np.spacing(1.0 + np.abs(y.q).max()):
                 break
             step = self._least_step(y, g, gaps, self._rigid_positions)
             y = y._replace(q=self._motion.coordinates.chart.integrate(y.q, step))
+            measured = None
         if moves and slips.any():
-            rate = self.rates(y)
+            rate = self.rates(y, measured)
             if np.abs(rate[slips]).max() > np.spacing(np.abs(y.v).max()):
                 y = y._replace(v=y.v + self._least_step(y, rate, slips, self._rigid))
         return y

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.contact_modes.event_rows import EventRows
-from mbd_ros.core.contact_modes.row_distances import rounding
+from mbd_ros.core.contact_modes.row_distances import Distances, rounding
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.nonsmooth.impact_map import Impact, ImpactMap
 from mbd_ros.core.state import Array, Memory, Mode, State, is_same_input
@@ -419,9 +419,9 @@ class Transitions:
 
     def begin(self, x: State, u: Array | None) -> State:
         """Return the state with the mode that distances and accelerations say."""
-        mode = self._field.mode_by_distance(x)
-        self.left = frozenset(self._field.close(x, u, mode))
-        return self.decide(x, u, mode, self._field.near(x))
+        mode, close, near = self._field.begin(x, u)
+        self.left = frozenset(close)
+        return self.decide(x, u, mode, near)
 
     def decide(self, x: State, u: Array | None, mode: Mode, undecided: Collection[int]) -> State:
         """Return the state in the mode in which it goes on, after impulses where friction jams.
@@ -435,20 +435,20 @@ class Transitions:
         try:
             entries = self._decided(x, u, mode, undecided)
         except JammedError:
-            x, mode = self._release(x, u)
-            entries = self._decided(x, u, mode, self._field.near(x))
+            x, mode, near = self._release(x, u)
+            entries = self._decided(x, u, mode, near)
         return self.switch(x._replace(mode=mode), entries)
 
-    def _release(self, x: State, u: Array | None) -> tuple[State, Mode]:
-        """Return the state after an impulse without collision, and the mode that distances say."""
+    def _release(self, x: State, u: Array | None) -> tuple[State, Mode, set[int]]:
+        """Return the state after an impulse without collision, its mode and undecided switches."""
         field, impacts = self._field, self._impacts
         assert impacts is not None
         slipping = impacts.slipping(x)
         after, impact = impacts.without_collision(x, u, slipping)
-        mode = field.mode_by_distance(after)
-        self.left = frozenset(field.close(after, u, mode))
+        mode, close, near = field.begin(after, u)
+        self.left = frozenset(close)
         self._log(tuple(field.names[i] for i in slipping), x, after, impact)
-        return after, mode
+        return after, mode, near
 
     def _decided(
         self, x: State, u: Array | None, mode: Mode, undecided: Collection[int]
@@ -494,15 +494,19 @@ class Impacts:
 
     def closed(self, y: State) -> list[int]:
         """Return the gaps that are closed to within rounding."""
-        distances, slack = self._rows.distances(y), rounding(y)
-        return [i for i in self._gaps if distances[i] <= slack]
+        return self._closed(y, self._rows.measure(y))
+
+    def _closed(self, y: State, measured: Distances) -> list[int]:
+        slack = rounding(y)
+        return [i for i in self._gaps if measured.distances[i] <= slack]
 
     def hits(self, y: State) -> list[int]:
         """Return the gaps that are closed and close further."""
-        closed, slack = self.closed(y), rounding(y)
+        measured, slack = self._rows.measure(y), rounding(y)
+        closed = self._closed(y, measured)
         if not closed:
             return []
-        rate = self._rows.rates(y)
+        rate = self._rows.rates(y, measured)
         return [i for i in closed if rate[i] < -slack]
 
     def after(self, y: State) -> tuple[State, Impact]:
@@ -565,8 +569,9 @@ class Impacts:
             mode: Mode in which it goes on otherwise.
         """
         rows, rests = self._rows, list[Rest]()
-        rate, slack = rows.rates(y), rounding(y)
-        opening = [i for i in self.closed(y) if mode[i] and rate[i] > 0.0]
+        measured, slack = rows.measure(y), rounding(y)
+        rate = rows.rates(y, measured)
+        opening = [i for i in self._closed(y, measured) if mode[i] and rate[i] > 0.0]
         w = rows.row_accelerations(y, u, mode) if opening else rate
         for i in (i for i in opening if w[i] < 0.0):
             v, a, e = float(rate[i]), -float(w[i]), float(rows.restitution[i])

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mbd_ros.core.contact_modes.event_rows import EventRows
-from mbd_ros.core.contact_modes.row_distances import Reach, rounding
+from mbd_ros.core.contact_modes.row_distances import Distances, Reach, rounding
 from mbd_ros.core.dynamics.system import Accelerator, System
 from mbd_ros.core.optimization.box_qp import exchanged
 from mbd_ros.core.state import Array, Mode, State
@@ -99,15 +99,24 @@ class ModeField:
     def distances(self, y: State) -> Array:
         """Return gaps, slip velocities and heights; 1 for drives, which have no distance."""
         return self._stacked(
-            None if self.rows is None else self.rows.distances(y),
+            None if self.rows is None else self.rows.measure(y).distances,
             None if self.surfaces is None else self.surfaces.heights(y),
         )
 
-    def rates(self, y: State, u: Array | None, mode: Mode) -> Array:
-        """Return the rates of the distances in a mode; 0 for drives."""
+    def rates(
+        self, y: State, u: Array | None, mode: Mode, measured: FieldDistances | None = None
+    ) -> Array:
+        """Return the rates of the distances in a mode; 0 for drives.
+
+        Args:
+            y: State of what is integrated.
+            u: Inputs there.
+            mode: The mode.
+            measured: Distances of the state, where they are known.
+        """
         rates = None
         if self.rows is not None:
-            rates = self.rows.rates(y)
+            rates = self.rows.rates(y, None if measured is None else measured.rows).copy()
             if any(mode[i] for i in self._slips):
                 rates[self._slips] = self.rows.row_accelerations(y, u, mode)[self._slips]
             rates[list(self._without_distance)] = 0.0
@@ -116,17 +125,42 @@ class ModeField:
 
     def near(self, y: State) -> set[int]:
         """Return switches that may be active to within rounding; always the drives."""
-        near: set[int] = set()
-        if self.rows is not None:
-            near.update(self.rows.modes_by_distance(y)[1])
-        if self.surfaces is not None:
-            at = np.flatnonzero(np.abs(self.surfaces.heights(y)) <= rounding(y))
-            near.update((at + self.count).tolist())
-        return near
+        return self._near(y, self.measure(y))
 
     def close(self, y: State, u: Array | None, mode: Mode) -> set[int]:
         """Return switches whose distance is 0 to within rounding, and guards that are zero."""
-        sizes = np.concatenate((self.distances(y), self.guards.values(y, u, mode)))
+        return self._close(y, u, mode, self.measure(y))
+
+    def begin(self, y: State, u: Array | None) -> tuple[Mode, set[int], set[int]]:
+        """Return the mode that the distances of a state say, and `close` and `near` in it."""
+        measured = self.measure(y)
+        mode: Mode = ()
+        if self.rows is not None:
+            mode = self.rows.modes_by_distance(y, measured.rows)[0]
+        if measured.heights is not None:
+            mode = (*mode, *np.where(measured.heights < 0.0, -1, 1).tolist())
+        return mode, self._close(y, u, mode, measured), self._near(y, measured)
+
+    def measure(self, y: State) -> FieldDistances:
+        """Measure the distances of all switches at a state."""
+        return FieldDistances(
+            None if self.rows is None else self.rows.measure(y),
+            None if self.surfaces is None else self.surfaces.heights(y),
+        )
+
+    def _near(self, y: State, measured: FieldDistances) -> set[int]:
+        near: set[int] = set()
+        if self.rows is not None:
+            near.update(self.rows.modes_by_distance(y, measured.rows)[1])
+        if measured.heights is not None:
+            at = np.flatnonzero(np.abs(measured.heights) <= rounding(y))
+            near.update((at + self.count).tolist())
+        return near
+
+    def _close(self, y: State, u: Array | None, mode: Mode, measured: FieldDistances) -> set[int]:
+        distances = None if measured.rows is None else measured.rows.distances
+        stacked = self._stacked(distances, measured.heights)
+        sizes = np.concatenate((stacked, self.guards.values(y, u, mode)))
         return set(np.flatnonzero(np.abs(sizes) <= rounding(y)).tolist())
 
     def guard_sides(
@@ -172,14 +206,6 @@ class ModeField:
         """Return those of some guards that end a phase."""
         return [i for i in fired if self.guards.guards[i - self._first_guard].ends]
 
-    def mode_by_distance(self, y: State) -> Mode:
-        """Return the mode that the distances of a state say."""
-        mode = () if self.rows is None else self.rows.modes_by_distance(y)[0]
-        if self.surfaces is not None:
-            sides = np.where(self.surfaces.heights(y) < 0.0, -1, 1)
-            mode = (*mode, *sides.tolist())
-        return mode
-
     def margin(
         self, y: State, u: Array | None, mode: Mode, which: Margin, sides: Sequence[int] = ()
     ) -> float:
@@ -190,7 +216,12 @@ class ModeField:
         return float(mode[switch] * self.distances(y)[switch])
 
     def margins(
-        self, y: State, u: Array | None, mode: Mode, sides: Sequence[int] = ()
+        self,
+        y: State,
+        u: Array | None,
+        mode: Mode,
+        sides: Sequence[int] = (),
+        measured: FieldDistances | None = None,
     ) -> dict[Margin, float]:
         """Return what is positive while a mode goes on.
 
@@ -199,8 +230,11 @@ class ModeField:
             u: Inputs there.
             mode: The mode.
             sides: Sides on which guards of parts act, as `guard_sides`; empty where none act.
+            measured: Distances of the state, where they are known.
         """
-        distances = self.distances(y).tolist()
+        measured = self.measure(y) if measured is None else measured
+        row_distances = None if measured.rows is None else measured.rows.distances
+        distances = self._stacked(row_distances, measured.heights).tolist()
         margins = {
             (i, 0): side * distances[i]
             for i, side in enumerate(mode)
@@ -219,7 +253,8 @@ class ModeField:
             for i in self._demands:
                 if mode[i]:
                     margins[i, 0] = float(mode[i] * solution.w[i])
-            margins.update(rows.friction_margins(y, solution, mode))
+            assert measured.rows is not None
+            margins.update(rows.friction_margins(measured.rows, solution, mode))
         surfaces = self.surfaces
         if surfaces is not None and (sliding := surfaces.sliding(mode)):
             for i, s in zip(sliding, surfaces.signs(y, u, mode).tolist(), strict=True):
@@ -280,6 +315,18 @@ class ModeField:
         return np.concatenate((rows, surfaces))
 
 
+class FieldDistances(NamedTuple):
+    """Distances of the rows, and heights over the surfaces, at one state; None without any.
+
+    Attributes:
+        rows: Distances of the event-driven rows.
+        heights: Heights over the switching surfaces, shape (m,).
+    """
+
+    rows: Distances | None
+    heights: Array | None
+
+
 def open_gaps(system: System, rows: EventRows, gaps: Sequence[int], y: State) -> State:
     """Return a state near by in which no gap is negative.
 
@@ -297,7 +344,7 @@ def open_gaps(system: System, rows: EventRows, gaps: Sequence[int], y: State) ->
     """
     closed: set[int] = set()
     for _ in range(_PASSES):
-        distances = rows.distances(y)
+        distances = rows.measure(y).distances
         slack = rounding(y) if closed else 0.0
         negative = [i for i in gaps if distances[i] < -slack]
         if not negative and all(distances[i] <= slack for i in closed):

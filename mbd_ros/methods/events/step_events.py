@@ -12,7 +12,7 @@ from mbd_ros.core.contact_modes.row_distances import rounding
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import SolveError
 from mbd_ros.methods.events.crossings import narrowed, sign_change
-from mbd_ros.methods.events.mode_field import Margin, ModeField
+from mbd_ros.methods.events.mode_field import FieldDistances, Margin, ModeField
 from mbd_ros.methods.integration.stepping import Stepper
 
 _LEFT = 1.0e-7  # of a step, in which a guard of a part has left zero
@@ -81,9 +81,10 @@ class StepSearch:
             return (after, None) if math.isinf(h) else (self._state_after(h), (gap, 0))
         full = h = after.t - x.t
         self._ignore_passed_guards(after)
-        late = self._most_negative(after)
+        measured = self._field.measure(after)
+        late = self._most_negative(after, measured=measured)
         if late is None:
-            h = self._inner_minimum(after)
+            h = self._inner_minimum(after, measured)
             if h < full:
                 late = self._most_negative(self._state_after(h))
             if late is None:
@@ -110,9 +111,14 @@ class StepSearch:
         """Return a margin at a state of the step."""
         return self._field.margin(y, self._u, self._mode, which, self.sides)
 
-    def _most_negative(self, y: State, done: Collection[Margin] = ()) -> Margin | None:
+    def _most_negative(
+        self,
+        y: State,
+        done: Collection[Margin] = (),
+        measured: FieldDistances | None = None,
+    ) -> Margin | None:
         """Return the most negative margin; None where none is negative."""
-        margins = self._field.margins(y, self._u, self._mode, self.sides)
+        margins = self._field.margins(y, self._u, self._mode, self.sides, measured)
         for i in self._left:
             if margins.get((i, 0), -math.inf) >= -rounding(y):
                 del margins[i, 0]
@@ -206,8 +212,13 @@ class StepSearch:
             near /= _SHRINK
         return self._value(after, (guard, 0))
 
-    def _inner_minimum(self, after: State) -> float:
-        """Return a length after which a margin may be negative, though none is at the end."""
+    def _inner_minimum(self, after: State, measured: FieldDistances | None = None) -> float:
+        """Return a length after which a margin may be negative, though none is at the end.
+
+        Args:
+            after: End of the step.
+            measured: Distances there, where they are known.
+        """
         field, mode, x = self._field, self._mode, self._x
         full, watched = after.t - x.t, field.watched(self.sides)
         if field.active(mode) or field.drives(mode) or watched:
@@ -227,7 +238,7 @@ class StepSearch:
         approaches = first < -rounding(x)
         if not approaches[beside].any():
             return full
-        last = sides * field.rates(after, self._u, mode)
+        last = sides * field.rates(after, self._u, mode, measured)
         for i in (i for i in beside if approaches[i] and last[i] > 0.0):
 
             def rate(length: float, i: int = i) -> float:
