@@ -12,6 +12,7 @@ from places import ROOT
 from mbd_ros.features.tools.completion import all_words
 from mbd_ros.nodes.table import NODES
 from mbd_ros.scene.schema.registry import PARTS
+from mbd_ros.scene.schema.sections import TASKS
 
 LOADING = {"script": "src", "img": "src", "iframe": "src", "link": "href", "source": "src"}
 
@@ -73,6 +74,8 @@ def test_references_are_complete(site):
     """Every part, command and node has a heading; equations came through as MathML."""
     parts = {name for kind, names in PARTS.items() if kind != "controllers" for name in names}
     assert {name.replace("_", "-") for name in parts} <= site["scene_reference.html"].ids
+    tasks = {f"task-{section.key}" for section in TASKS}
+    assert tasks <= site["scene_reference.html"].ids
     assert {name.replace("_", "-") for name in NODES} <= site["node_reference.html"].ids
     assert "math" in site["theory.html"].tags
     assert set(all_words()) <= site["command_reference.html"].ids

@@ -153,12 +153,12 @@ def test_command_writes_a_scene_or_nothing(leg, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{segments: {}}", "names no link"),
-        ("{segments: {shank: {}}}", "expected pairs, or a factor"),
+        ("{segments: {}}", "segments: is empty"),
+        ("{segments: {shank: {}}}", "expected either pairs or a factor"),
         ("{segments: {shank: {factor: 1.0, axes: w}}}", "accepted: some of x, y and z"),
         ("{segments: {shank: {factor: -1.0}}}", "out of range"),
         ("{segments: {shank: {pairs: [[heel]]}}}", "expected 2"),
-        ("{segments: {shank: {factor: 1.0}}, name: a b}", "is no word"),
+        ("{segments: {shank: {factor: 1.0}}, name: a b}", "accepted are letters, digits and _"),
     ],
 )
 def test_bad_tasks(leg, tmp_path, text, words):

@@ -217,7 +217,10 @@ def test_bad_measurements_are_refused(arm, tmp_path, column, times, match):
         ({"reserves": -1.0}, "reserves"),
         ({"reserves": "none.xml"}, "none.xml"),
         ({"residuals": [{"name": "F", "frame": "hand", "force": [1, 0, 0]}]}, "no frame 'hand'"),
-        ({"residuals": [{"name": "front", "frame": "upper", "force": [1, 0, 0]}]}, "has the name of a muscle"),
+        (
+            {"residuals": [{"name": "front", "frame": "upper", "force": [1, 0, 0]}]},
+            "has the name of a muscle",
+        ),
         ({"links": ["lower"]}, "reactions: is missing"),
         ({"speed": 1.0}, "unknown key 'speed'"),
     ],
