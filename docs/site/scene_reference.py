@@ -33,8 +33,9 @@ _HEAD = """\
 # Sections and parts
 
 With this page you can look up every section of a scene file, every part with its keys, units,
-defaults and accepted values, and the keys of [task files](#task-files). `make docs` generates it from the code; [scene.md](scene.md) explains
-sections in context. All parts also take the key `name`.
+defaults and accepted values, and the keys of [task files](#task-files). `make docs` generates it
+from the code; [scene.md](scene.md) explains sections in context. All parts also take the key
+`name`.
 """
 
 
