@@ -1,4 +1,4 @@
-"""Words of `mbd-ros estimate`."""
+"""Command line of `mbd-ros estimate`."""
 
 import argparse
 
@@ -9,7 +9,7 @@ from mbd_ros.scene.schema.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `estimate` understands."""
+    """Add the options of `estimate` to a parser."""
     add_scene(parser)
     parser.add_argument(
         "motion", type=path_word, help="recording of some joints: a table or a bag"
@@ -18,10 +18,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "task", type=path_word, nargs="?", help="task file with a section estimate"
     )
     parser.add_argument(
-        "-o", "--out", type=path_word, required=True, help="motion: CSV, bag, .. (required)"
+        "-o",
+        "--out",
+        type=path_word,
+        required=True,
+        help="estimated motion: CSV, bag, .. (required)",
     )
     parser.add_argument(
-        "--innovations", type=path_word, help="also write how far predictions were off"
+        "--innovations", type=path_word, help="also write measurements minus predictions"
     )
     parser.add_argument(
         "--wrenches", type=path_word, help="table or bag of the external loads of the scene"
@@ -29,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--inputs",
         choices=("efforts", "commands", "none"),
-        help="what moves the mechanism (default: efforts)",
+        help="source of the inputs that move the mechanism (default: efforts)",
     )
     parser.add_argument(
         "--topic",
@@ -39,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Run the command, and return its exit code."""
     from mbd_ros.features.estimation.job import NO_TASK, estimate_to
     from mbd_ros.scene.reader import load_scene
 

@@ -1,4 +1,4 @@
-"""Words of `mbd-ros identify`."""
+"""Command line of `mbd-ros identify`."""
 
 import argparse
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from mbd_ros.scene.schema.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `identify` understands."""
+    """Add the options of `identify` to a parser."""
     add_scene(parser)
     add_recordings(parser)
     parser.add_argument(
@@ -20,7 +20,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--learned",
         type=float,
         default=0.6,
-        help="share of the time of each recording that is learned from; the rest is for the test "
+        help="share of the time of each recording that is for the fit; the rest is for the test "
         "(default: %(default)s)",
     )
     parser.add_argument(
@@ -28,12 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=path_word,
         nargs="+",
         default=(),
-        help="recordings with a known load, see --payload",
+        help="recordings of the robot with a known load; --payload describes the load",
     )
     parser.add_argument(
         "--payload",
         metavar="LINK=MASS,CX,CY,CZ[,IXX,IYY,IZZ]",
-        help="what --held holds: mass in kg, centre in m and moments about it in the axes of a "
+        help="load of --held: mass in kg, and centre in m and moments about it in the axes of a "
         "link",
     )
     parser.add_argument(
@@ -42,18 +42,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--currents",
         action="store_true",
-        help="efforts are in other units, such as motor currents: their gains are estimated, "
-        "which a known load or link has to fix",
+        help="efforts are in other units, such as motor currents; gains are estimated from a "
+        "known load, link or force",
     )
     parser.add_argument(
         "--partial",
         action="store_true",
-        help="go on with a motion that does not show everything; what it hides stays as given",
+        help="accept a motion that hides some parameters; these keep their values",
     )
 
 
 def add_recordings(parser: argparse.ArgumentParser) -> None:
-    """Recordings, and how they are looked at."""
+    """Add options about the recordings and their processing."""
     parser.add_argument(
         "motion", type=path_word, nargs="+", help="tables or bags with positions and efforts"
     )
@@ -62,7 +62,7 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
         type=path_word,
         nargs="+",
         default=(),
-        help="tables of the loads in the scene, one a motion; a bag carries its own",
+        help="tables of the external loads, one per motion; a bag contains its own",
     )
     parser.add_argument(
         "--topic",
@@ -79,11 +79,11 @@ def add_recordings(parser: argparse.ArgumentParser) -> None:
 
 
 def add_physics(parser: argparse.ArgumentParser) -> None:
-    """What is looked for, and what is known."""
+    """Add options about the unknowns and about what is known."""
     parser.add_argument(
         "--band",
         type=float,
-        help="end of the band that is looked at in Hz (default: from the motion, and printed)",
+        help="end of the frequency band of the fit in Hz (default: from the motion, and printed)",
     )
     parser.add_argument(
         "--friction",
@@ -108,52 +108,52 @@ def add_physics(parser: argparse.ArgumentParser) -> None:
         "place the first body)",
     )
     parser.add_argument(
-        "--delay", type=float, help="of efforts against motion in s (default: estimated)"
+        "--delay", type=float, help="delay of efforts against motion in s (default: estimated)"
     )
 
 
-def payload_of(word: str | None) -> tuple[str, list[float]] | None:
-    """Link and numbers of a load; None without one.
+def parse_payload(argument: str | None) -> tuple[str, list[float]] | None:
+    """Parse --payload: return link and numbers of a load, or None without one.
 
     Raises:
-        DataError: They are not.
+        DataError: The text is not LINK=MASS,CX,CY,CZ[,IXX,IYY,IZZ], or not positive.
     """
-    if word is None:
+    if argument is None:
         return None
-    link, _, numbers = word.rpartition("=")
+    link, _, numbers = argument.rpartition("=")
     try:
-        found = [float(number) for number in numbers.split(",")]
+        values = [float(number) for number in numbers.split(",")]
     except ValueError:
-        found = []
-    is_right = len(found) in (4, 7) and all(abs(x) < float("inf") for x in found)
-    if not link or not is_right or min([found[0], *found[4:]]) <= 0.0:
+        values = []
+    is_valid = len(values) in (4, 7) and all(abs(x) < float("inf") for x in values)
+    if not link or not is_valid or min([values[0], *values[4:]]) <= 0.0:
         raise DataError(
-            f"--payload {word}: expected LINK=MASS,CX,CY,CZ or LINK=MASS,CX,CY,CZ,IXX,IYY,IZZ, "
-            "mass and moments > 0"
+            f"--payload {argument}: expected LINK=MASS,CX,CY,CZ or "
+            "LINK=MASS,CX,CY,CZ,IXX,IYY,IZZ, with mass and moments > 0"
         )
-    return link, found
+    return link, values
 
 
-def gains_of(words: Sequence[str]) -> dict[str, float]:
-    """Joint -> torque for a unit of effort.
+def parse_gains(arguments: Sequence[str]) -> dict[str, float]:
+    """Parse --gain: return joint -> torque for a unit of effort.
 
     Raises:
-        DataError: A word is not JOINT=VALUE.
+        DataError: An argument is not JOINT=VALUE.
     """
     gains = {}
-    for word in words:
-        name, _, value = word.rpartition("=")
+    for argument in arguments:
+        name, _, value = argument.rpartition("=")
         try:
             gains[name] = float(value)
         except ValueError:
             gains[name] = float("nan")
         if not name or not abs(gains[name]) < float("inf"):
-            raise DataError(f"--gain {word}: expected JOINT=VALUE, as wrist=12.5")
+            raise DataError(f"--gain {argument}: expected JOINT=VALUE, such as wrist=12.5")
     return gains
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Run the command, and return its exit code."""
     from mbd_ros.features.identification.job import identify_to
     from mbd_ros.features.identification.task import Task
     from mbd_ros.scene.reader import load_scene
@@ -165,13 +165,13 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.derivatives,
         arguments.band,
         arguments.friction,
-        gains_of(arguments.gain),
+        parse_gains(arguments.gain),
         arguments.passive,
         arguments.learned,
         arguments.delay,
         arguments.partial,
         arguments.held,
-        payload_of(arguments.payload),
+        parse_payload(arguments.payload),
         arguments.known,
         arguments.currents,
     )

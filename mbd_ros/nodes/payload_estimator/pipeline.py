@@ -9,7 +9,7 @@ import numpy as np
 
 from mbd_ros.core.model.inertial_parameters import PARAMETER_NAMES, inertia_of
 from mbd_ros.errors import SceneError
-from mbd_ros.features.identification.payload.job import carrier_of
+from mbd_ros.features.identification.payload.job import find_carrier
 from mbd_ros.features.identification.payload.recursive import RecursivePayload
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.methods.inverse_dynamics.torque_estimator import JointObserver
@@ -38,7 +38,7 @@ class PayloadPipeline:
     def __init__(self, values: Any, description: str | None) -> None:
         self.scene = scene = load_scene(values.scene, description)
         _refuse(scene)
-        self.frame, _ = carrier_of(scene, values.frame or None)
+        self.frame, _ = find_carrier(scene, values.frame or None)
         self.joints = JointStateReader((*scene.couplings.independent, *scene.couplings.dependent))
         self.reader = JointStateCdrReader(self.joints, joint_state)
         self._n = len(scene.couplings.independent)
@@ -131,7 +131,7 @@ class PayloadPipeline:
     def _hidden(self) -> list[str]:
         return [
             name
-            for name, there in zip(PARAMETER_NAMES, self.estimate.shown, strict=True)
+            for name, there in zip(PARAMETER_NAMES, self.estimate.is_determined, strict=True)
             if not there
         ]
 

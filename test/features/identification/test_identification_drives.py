@@ -157,7 +157,7 @@ BAD = {
     "--held": (["--held", "{motion}"], "--held and --payload"),
     "--payload": (["--held", "{motion}", "--payload", "elbow=2,0,0,0"], "--payload elbow"),
     "mass": (["--held", "{motion}", "--payload", "flange=-2,0,0,0"], "expected LINK=MASS"),
-    "--known": (["--known", "elbow"], "--known elbow: no link that moves; there are link1"),
+    "--known": (["--known", "elbow"], "--known elbow: no link that moves; accepted are link1"),
 }
 
 

@@ -11,7 +11,7 @@ from mbd_ros.cli import main
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
-from mbd_ros.features.identification.learn.onnx_file import onnx_of
+from mbd_ros.features.identification.learn.onnx_file import onnx_bytes
 from mbd_ros.methods.control.contract import ControlledJoints, EffortBox, Reference
 from mbd_ros.methods.learned import SUM, ZEROS, About, numbers_of, signed
 from mbd_ros.parts.controllers.computed_torque import ComputedTorque
@@ -107,7 +107,7 @@ def test_energy_of_a_free_swing_holds(folder):
     said = About("structured", "leg", joints, -wall, wall, numbers_of(scene.robot))
     said = said._replace(physics=physics_beside(scene, said))
     path = folder / "conservative.onnx"
-    path.write_bytes(onnx_of(said, made, scales(m), np.ones(m)))
+    path.write_bytes(onnx_bytes(said, made, scales(m), np.ones(m)))
     heavy = with_model("prosthetic_leg", path)
     run = heavy.simulate(duration=0.2, integrator="dopri5", tolerance=1e-9)
     energy = run["samples"]["energy"]

@@ -1,4 +1,4 @@
-"""Words of `mbd-ros learn`."""
+"""Command line of `mbd-ros learn`."""
 
 import argparse
 from collections.abc import Collection
@@ -10,7 +10,7 @@ from mbd_ros.scene.schema.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `learn` understands."""
+    """Add the options of `learn` to a parser."""
     add_scene(parser)
     parser.add_argument(
         "motion", type=path_word, nargs="*", help="tables or bags with positions and efforts"
@@ -22,14 +22,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--variant",
         choices=("free", "structured", "informed"),
         default="free",
-        help="a network without structure; friction and a Lagrangian; or without structure, and "
-        "drawn to the equations of motion where nothing was measured (default: %(default)s)",
+        help="free: a network without structure; structured: friction and a Lagrangian; informed: "
+        "free, and follows the equations of motion off the data (default: %(default)s)",
     )
     parser.add_argument(
         "--physics",
         choices=("identified", "given"),
         default="identified",
-        help="what the network stands on: the scene identified from the same samples first, or "
+        help="scene that the network corrects: first identified from the same samples, or "
         "as given (default: %(default)s)",
     )
     parser.add_argument(
@@ -37,24 +37,24 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         default=["physics"],
         metavar="WHAT",
-        help="physics, or all-but adapters: what does not change while a model of --start is "
-        "adapted (default: physics)",
+        help="what does not change while the model of --start is adapted: physics, or all-but "
+        "adapters (default: physics)",
     )
-    parser.add_argument("--start", type=path_word, help="folder of the model that is adapted")
+    parser.add_argument("--start", type=path_word, help="folder of a model to adapt")
     parser.add_argument(
-        "--compare", action="store_true", help="compare five ways from more and more seconds"
+        "--compare", action="store_true", help="compare five methods over growing training times"
     )
     _add_numbers(parser)
 
 
 def _add_numbers(parser: argparse.ArgumentParser) -> None:
-    """How recordings are looked at, and numbers of the optimisation."""
+    """Add options about the processing of recordings and about the optimization."""
     parser.add_argument(
         "--wrenches",
         type=path_word,
         nargs="+",
         default=(),
-        help="tables of the loads in the scene, one a motion; a bag carries its own",
+        help="tables of the external loads, one per motion; a bag contains its own",
     )
     parser.add_argument(
         "--topic", default="/joint_states", help="JointState topic of bags (default: %(default)s)"
@@ -72,33 +72,33 @@ def _add_numbers(parser: argparse.ArgumentParser) -> None:
         "--learned",
         type=float,
         default=0.6,
-        help="share of the time of each recording that is learned from (default: %(default)s)",
+        help="share of the time of each recording that is for training (default: %(default)s)",
     )
     parser.add_argument(
         "--members", type=int, default=5, help="networks of the ensemble (default: %(default)s)"
     )
-    parser.add_argument("--steps", type=int, help="of the optimisation (default: by variant)")
+    parser.add_argument("--steps", type=int, help="optimization steps (default: by variant)")
     parser.add_argument(
         "--rate", type=float, default=0.01, help="first learning rate (default: %(default)s)"
     )
     parser.add_argument(
-        "--seed", type=int, default=0, help="of the random numbers (default: %(default)s)"
+        "--seed", type=int, default=0, help="seed of the random numbers (default: %(default)s)"
     )
     parser.add_argument(
-        "--seeds", type=int, default=3, help="how many with --compare (default: %(default)s)"
+        "--seeds", type=int, default=3, help="seeds with --compare (default: %(default)s)"
     )
 
 
-def _frozen(words: list[str], accepted: Collection[str]) -> tuple[str, list[str]]:
-    """What --freeze says, and motions that stand behind it."""
+def _split_freeze(arguments: list[str], accepted: Collection[str]) -> tuple[str, list[str]]:
+    """Return the value of --freeze, and the motions that follow it on the command line."""
     for count in (1, 2):
-        if " ".join(words[:count]) in accepted:
-            return " ".join(words[:count]), words[count:]
-    return " ".join(words), []
+        if " ".join(arguments[:count]) in accepted:
+            return " ".join(arguments[:count]), arguments[count:]
+    return " ".join(arguments), []
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
+    """Run the command, and return its exit code."""
     from mbd_ros.features.identification.learn.comparison import compare_to
     from mbd_ros.features.identification.learn.job import learn_to
     from mbd_ros.features.identification.learn.task import FREEZE, Task
@@ -107,7 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
     names = ("wrenches", "topic", "derivatives", "band", "learned", "variant", "physics")
     names += ("members", "steps", "seed", "rate")
     options = {name: getattr(arguments, name) for name in names}
-    freeze, after = _frozen(arguments.freeze, FREEZE)
+    freeze, after = _split_freeze(arguments.freeze, FREEZE)
     motions = [*arguments.motion, *map(path_word, after)]
     task = Task(motions, freeze=freeze, **options)
     scene = load_scene(arguments.scene)

@@ -1,4 +1,4 @@
-"""Words of `mbd-ros payload`."""
+"""Command line of `mbd-ros payload`."""
 
 import argparse
 
@@ -9,17 +9,19 @@ from mbd_ros.scene.schema.locate import path_word
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The words that `payload` understands."""
+    """Add the options of `payload` to a parser."""
     add_scene(parser)
     parser.add_argument("motion", type=path_word, help="table or bag with positions and efforts")
     parser.add_argument(
         "--without",
         type=path_word,
-        help="recording of the robot with nothing in its hand, from which it is identified first "
-        "(default: the scene is right)",
+        help="recording of the robot without the payload, from which the robot is identified "
+        "first (default: the scene is right)",
     )
-    parser.add_argument("--frame", help="link that carries it (default: the last one)")
-    parser.add_argument("--wrenches", type=path_word, help="table of the loads in the scene")
+    parser.add_argument("--frame", help="link that carries the payload (default: the last link)")
+    parser.add_argument(
+        "--wrenches", type=path_word, help="table of the external loads in the scene"
+    )
     parser.add_argument(
         "--topic",
         default="/joint_states",
@@ -31,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="where velocities and accelerations come from (default: given where a motion has "
         "accelerations, else zero-phase)",
     )
-    parser.add_argument("--band", type=float, help="end of the band that is looked at in Hz")
+    parser.add_argument("--band", type=float, help="end of the frequency band of the fit in Hz")
     parser.add_argument(
         "--gain",
         nargs="+",
@@ -40,7 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="torque for a unit of effort",
     )
     parser.add_argument(
-        "--partial", action="store_true", help="go on with a motion that does not show all numbers"
+        "--partial", action="store_true", help="accept a motion that hides some numbers"
     )
     parser.add_argument(
         "-o", "--out", type=path_word, help="table of the result, as .csv, .npz or .parquet"
@@ -48,8 +50,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Do what the words say; the exit code."""
-    from mbd_ros.features.identification.command import gains_of
+    """Run the command, and return its exit code."""
+    from mbd_ros.features.identification.command import parse_gains
     from mbd_ros.features.identification.payload.job import payload
     from mbd_ros.files.text_file import check_place, refuse_overwriting
     from mbd_ros.scene.reader import load_scene
@@ -59,10 +61,10 @@ def run(arguments: argparse.Namespace) -> int:
         check_place(arguments.out)
     names = ("frame", "without", "wrenches", "topic", "derivatives", "band", "partial")
     options = {name: getattr(arguments, name) for name in names}
-    gains = gains_of(arguments.gain)
+    gains = parse_gains(arguments.gain)
     scene = load_scene(arguments.scene)
-    found = payload(scene, arguments.motion, **options, gains=gains, say=say, progress=True)
+    result = payload(scene, arguments.motion, **options, gains=gains, say=say, progress=True)
     if arguments.out is not None:
-        found.table().to(arguments.out)
+        result.table().to(arguments.out)
         say(f"-> {arguments.out}")
     return OK

@@ -7,8 +7,8 @@ import pytest
 from learned_torque import scales, weights
 
 from mbd_ros.errors import DataError
-from mbd_ros.features.identification.learn.linear_corrections import Known
-from mbd_ros.features.identification.learn.task import Learned
+from mbd_ros.features.identification.learn.linear_corrections import SampleStatistics
+from mbd_ros.features.identification.learn.task import LearnedModel
 from mbd_ros.features.identification.learn.weights_file import (
     WEIGHTS,
     read_folder,
@@ -22,8 +22,8 @@ M, P = 2, 5
 def learned(kind):
     wall = np.ones(2 * M)
     about = About(kind, "arm", ("a", "b"), -wall, wall, {"gravity": [0.0, 0.0, -9.8]})
-    known = Known(np.ones((M, P + 2, P + 2)), np.full(M, 30.0), np.ones(M))
-    return Learned(about, scales(M), weights(kind, M), np.ones(M), known, np.zeros(P))
+    known = SampleStatistics(np.ones((M, P + 2, P + 2)), np.full(M, 30.0), np.ones(M))
+    return LearnedModel(about, scales(M), weights(kind, M), np.ones(M), known, np.zeros(P))
 
 
 @pytest.mark.parametrize("kind", ["free", "structured"])
@@ -48,10 +48,10 @@ def about(**changes):
     ("changes", "message"),
     [
         ({"trust": None}, "array 'trust' is missing"),
-        ({"weight.W9": np.ones(3)}, "array 'weight.W9' is unknown, accepted: weight.W1"),
+        ({"weight.W9": np.ones(3)}, "array 'weight.W9' is unknown; accepted are weight.W1"),
         ({"weight.W1": np.ones((3, 8, 5))}, r"'weight.W1' has shape \(3, 8, 5\) of float64"),
         ({"weight.b1": np.float64(1.0)}, r"'weight.b1' and 'weight.b2' have shapes \(\)"),
-        ({"weight.b3": np.ones((3, 2), np.float32)}, "of float32, accepted: .* of float64"),
+        ({"weight.b3": np.ones((3, 2), np.float32)}, "of float32; accepted is .* of float64"),
         ({"scale.q": np.array([1.0, np.nan])}, "array 'scale.q' has numbers that are not finite"),
         ({"scale.v": np.array([1.0, 0.0])}, "array 'scale.v' has numbers that are not above 0"),
         ({"trust": np.array([1.0, 2.0])}, "array 'trust' has numbers outside of 0 .. 1"),
