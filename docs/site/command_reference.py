@@ -31,7 +31,7 @@ def page() -> str:
 def _command(name: str) -> Iterator[str]:
     parser = argparse.ArgumentParser(f"mbd-ros {name}", formatter_class=_Wide)
     command_module(name).add_arguments(parser)
-    yield COMMANDS[name].text[0].upper() + COMMANDS[name].text[1:] + "."
+    yield COMMANDS[name].text
     if parser.description and parser.description != COMMANDS[name].text:
         yield parser.description
     yield f"```text\n{parser.format_usage().removeprefix('usage: ').strip()}\n```"

@@ -30,7 +30,14 @@ from mbd_ros.errors import FAILED, DataError, MbdError
 from mbd_ros.features.simulation.job import Interrupted, simulate
 from mbd_ros.files.output_folder import make_folder, place_in
 from mbd_ros.files.text_file import replacing
-from mbd_ros.jobs.workers.opening import Remaining, Workers, do_all, open_workers, spoken, watched
+from mbd_ros.jobs.workers.opening import (
+    Remaining,
+    Workers,
+    do_all,
+    duration_text,
+    open_workers,
+    watched,
+)
 from mbd_ros.jobs.workers.task import Result, Task, cpu
 from mbd_ros.scene.reader import load_scene
 from mbd_ros.scene.schema.code_permission import is_permitted, permitting
@@ -170,7 +177,7 @@ def _results(
         yield f"{len(work)} items, {len(results)} of them done before"
         if rest:
             expected = Remaining(rest, workers.count).seconds
-            yield f"{len(rest)} items by {workers.count} workers: about {spoken(expected)}"
+            yield f"{len(rest)} items by {workers.count} workers: about {duration_text(expected)}"
             results |= finish(rest, store, workers, elsewhere=_elsewhere(order))
     if store.changed:
         yield f"changed while this ran: {', '.join(store.changed)}; run it again"
