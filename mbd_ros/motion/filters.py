@@ -18,7 +18,7 @@ from mbd_ros.methods.inverse_dynamics.torque_estimator import (
     Observation,
     Observations,
     TorqueEstimator,
-    together,
+    concatenate_observations,
 )
 from mbd_ros.methods.signals.differentiation import CausalDifferentiator
 from mbd_ros.methods.signals.smoothing_spline import HIGHEST
@@ -189,8 +189,10 @@ def observe(estimator: TorqueEstimator, motion: Motion, dropped: Counter[str]) -
     parts = []
     for block in progress(blocks, len(blocks), "filtering"):
         parts += _observed(estimator, motion, block, dropped)
-    none = np.zeros((0, 0))
-    return together(parts or [Observations(np.zeros(0, np.int64), none, none, none, none)])
+    if not parts:
+        none = np.zeros((0, 0))
+        return Observations(np.zeros(0, np.int64), none, none, none, none)
+    return concatenate_observations(parts)
 
 
 def _blocks(begin: int, end: int, size: int) -> list[slice]:

@@ -20,9 +20,9 @@ from mbd_ros.errors import DataError, SolveError
 from mbd_ros.files.table import Column
 from mbd_ros.jobs.progress import Say, progress
 from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import TorqueComponents, Torques
-from mbd_ros.methods.inverse_dynamics.power import Exerted, PowerBalance
+from mbd_ros.methods.inverse_dynamics.power import ExertedForces, PowerBalance
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations
 from mbd_ros.motion.columns import (
     body_columns,
@@ -40,7 +40,7 @@ from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.coupling_entries import coupling_kinds
 
 if TYPE_CHECKING:
-    from mbd_ros.methods.inverse_dynamics.force_split import Wish
+    from mbd_ros.methods.inverse_dynamics.force_split import ForceTarget
     from mbd_ros.motion.known_contacts import KnownContact
     from mbd_ros.motion.stance import Ground
 
@@ -160,7 +160,7 @@ class Explained(NamedTuple):
     rows: ConstraintRows
     driven: Sequence[str]
     count: int
-    motions: Callable[[], Iterator[tuple[State, Array, Exerted]]]
+    motions: Callable[[], Iterator[tuple[State, Array, ExertedForces]]]
 
 
 def solve_open(
@@ -247,21 +247,21 @@ class OpenChains:
         index = couplings.v_index
         carried = np.isin(index, robot.base_v)
 
-        def motions() -> Iterator[tuple[State, Array, Exerted]]:
+        def motions() -> Iterator[tuple[State, Array, ExertedForces]]:
             each = zip(self._states(samples), *solved[:2], strict=True)
             for (x, a), tau, multipliers in each:
                 efforts, residual = np.zeros(robot.model.nv), np.zeros(robot.model.nv)
                 efforts[index], residual[index] = np.where(
                     carried, (0.0 * tau, tau), (tau, 0.0 * tau)
                 )
-                yield x, a, Exerted(efforts, residual, multipliers)
+                yield x, a, ExertedForces(efforts, residual, multipliers)
 
         return Explained(rows, couplings.independent, len(samples.stamps), motions)
 
     def _states(self, samples: Observations) -> Iterator[tuple[State, Array]]:
         """States and accelerations of all joints."""
         robot, couplings = self._scene.robot, self._scene.couplings
-        for sample in samples.each():
+        for sample in samples.rows():
             q, v, a = robot.neutral().copy(), np.zeros(robot.model.nv), np.zeros(robot.model.nv)
             q[couplings.q_index], v[couplings.v_index], a[couplings.v_index] = sample[1:4]
             couplings.expand(q, v, a)
@@ -303,14 +303,16 @@ def solve_closed(
         SolveError: The mechanism cannot be assembled, or the actuators cannot produce the motion;
             names the time.
     """
-    contacts = {} if ground is None else {"contacts": ground.contacts, "near": ground.task.near}
+    contacts = (
+        {} if ground is None else {"contacts": ground.contacts, "thresholds": ground.task.near}
+    )
     observed = scene.inverse_dynamics(with_bounds=task.bounds, **contacts)
     inverse, states, off = observed.inverse, [], []
-    for sample in samples.each():
+    for sample in samples.rows():
         t = sample.stamp * NANOSECOND
         measured, given = observed.measured(t, *sample[1:4])
         with _said(where, t):
-            x, a = inverse.consistent(measured, given)
+            x, a = inverse.project_motion(measured, given)
         states.append((x, a))
         moves = x.q - measured.q, x.v - measured.v, a - given
         off.append([np.abs(move).max(initial=0.0) for move in moves])
@@ -320,10 +322,10 @@ def solve_closed(
 
         standing = standing_in(inverse, ground, states)
 
-    def solved_at(i: int, wish: Wish | None = None) -> Torques:
+    def solved_at(i: int, target: ForceTarget | None = None) -> Torques:
         here = None if standing is None else standing[i]
         with _said(where, states[i][0].t):
-            return inverse.solve(*states[i], [load[i] for load in wrenches], here, wish)
+            return inverse.solve(*states[i], [load[i] for load in wrenches], here, target)
 
     solved = [solved_at(i) for i in progress(range(len(states)), len(states), "solving")]
     remarks = list(_remarks(np.max(off, axis=0), samples.stamps, solved))
@@ -353,7 +355,7 @@ def _remarks(off: Array, stamps: np.ndarray, solved: Sequence[Torques]) -> Itera
     widest = max(solved, key=lambda each: each.null_space)
     if widest.undetermined:
         yield (
-            f"null space of dimension {widest.null_space}: {listed(widest.undetermined)} are "
+            f"null space of dimension {widest.null_space}: {join_names(widest.undetermined)} are "
             "not determined, smallest norm taken"
         )
     worst = int(np.argmax([each.condition for each in solved]))
@@ -383,9 +385,9 @@ def _columns(
     ]
     driven, free = (
         [scene.robot.joint(name) for name in names]
-        for names in (inverse.efforts.names, inverse.carriers)
+        for names in (inverse.efforts.names, inverse.root_joints)
     )
-    carried = np.array([each.carried for each in solved]).reshape(len(solved), -1)
+    carried = np.array([each.root_residual for each in solved]).reshape(len(solved), -1)
     return [
         *joint_columns(joints, "position", q[:, at_q]),
         *joint_columns(joints, "velocity", v[:, at_v]),
@@ -410,10 +412,10 @@ def _explained(
 ) -> Explained:
     """Motions with what explains them."""
 
-    def motions() -> Iterator[tuple[State, Array, Exerted]]:
+    def motions() -> Iterator[tuple[State, Array, ExertedForces]]:
         for (x, a), each in zip(states, solved, strict=True):
             efforts = inverse.columns(x).dot(each.tau)
-            yield x, a, Exerted(efforts, inverse.carried(each), each.multipliers)
+            yield x, a, ExertedForces(efforts, inverse.unsupported_force(each), each.multipliers)
 
     return Explained(inverse.constraints, inverse.efforts.names, len(states), motions)
 

@@ -23,7 +23,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.table import Result
 from mbd_ros.jobs.progress import Say
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, Observations
 from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion
 from mbd_ros.scene.built_scene import MeasuredWrench, Scene
@@ -62,7 +62,7 @@ def known_contacts(
             forces = _forces(source, names)
             if forces is None:
                 raise DataError(
-                    f"{name_of(source)}: no column {listed(names)}: contact {load.name} has "
+                    f"{name_of(source)}: no column {join_names(names)}: contact {load.name} has "
                     "bristles, which a motion does not show; simulate writes these columns"
                 )
             bristly.append(load)
@@ -115,7 +115,7 @@ def contact_loads(
         DataError: A bag has no force of a contact at the stamp of a sample.
     """
     stamps = samples.stamps
-    states = [_state(scene, sample) for sample in samples.each()]
+    states = [_state(scene, sample) for sample in samples.rows()]
     robot, k = scene.robot, Kinematics(scene.robot)
     values: dict[tuple[str, str], list[Array]] = {}
     for one in known:
@@ -150,8 +150,8 @@ def _forces(source: Source, names: list[str]) -> Array | None:
     lacking = [name for name, bad in zip(names, np.isnan(columns).any(axis=0), strict=True) if bad]
     if lacking:
         raise DataError(
-            f"{name_of(source)}: no column {listed(lacking)}, or it has gaps; accepted: all "
-            f"forces of a contact, or none: {listed(names)}"
+            f"{name_of(source)}: no column {join_names(lacking)}, or it has gaps; accepted: all "
+            f"forces of a contact, or none: {join_names(names)}"
         )
     return columns
 
@@ -187,7 +187,7 @@ def _rows(name: str, known: NDArray[np.int64], stamps: NDArray[np.int64]) -> NDA
 def _unknown(scene: Scene, source: Source, part: Constraint, names: Sequence[str]) -> str:
     given = f"; the loads {', '.join(scene.wrenches)} act" if scene.wrenches else ""
     return (
-        f"warning: {name_of(source)}: no column {listed(names)}: the forces of contact "
+        f"warning: {name_of(source)}: no column {join_names(names)}: the forces of contact "
         f"{part.name} are not known, 0 is taken{given}; simulate writes these columns, and "
         "external_wrenches of the scene take measured forces by --wrenches, and --stance "
         "makes unknowns of them"

@@ -17,7 +17,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.recording import Recording
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, progress
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.methods.inverse_dynamics.loop_motion import LoopMotion, Mask
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observations, TorqueEstimator, Tuning
 from mbd_ros.motion.derivatives import OPENSIM, Derivatives, differentiate
@@ -180,9 +180,9 @@ def _storage_lines(where: str, recording: Recording, locked: Mapping[str, float]
         yield f"{said}: {', '.join(there)}"
     unused = recording.unused or ()
     if held := [label for label in unused if label in locked]:
-        yield f"{where}: columns of joints that the model locks, not used: {listed(held)}"
+        yield f"{where}: columns of joints that the model locks, not used: {join_names(held)}"
     if others := [label for label in unused if label not in locked]:
-        yield f"{where}: columns of no joint, not used: {listed(others)}"
+        yield f"{where}: columns of no joint, not used: {join_names(others)}"
 
 
 def loads_of_laboratory(scene: Scene, task: Task) -> ExternalLoads | None:
@@ -252,10 +252,10 @@ def _completed(
     fields, places = _fields(robot, motion, joints)
     turning = [joint.q for joint in joints if joint.kind == "continuous" and measured[joint.v]]
     fields[0][:, turning] = np.unwrap(fields[0][:, turning], axis=0)
-    before, conditions = loops.start(scene.initial), []
+    before, conditions = loops.assemble(scene.initial), []
     rows = zip(motion.stamps.tolist(), *fields, strict=True)
     for i, (stamp, q, v, a) in enumerate(progress(rows, len(motion.stamps), "closing")):
-        x, a, condition = loops.complete(before, State(stamp * NANOSECOND, q, v), a, measured)
+        x, a, condition = loops.close_loops(before, State(stamp * NANOSECOND, q, v), a, measured)
         if i == 0:
             _check_tied(where, loops, x, measured)
         before = x.q

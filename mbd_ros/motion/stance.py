@@ -25,10 +25,10 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DataError, SolveError
 from mbd_ros.jobs.progress import Say
 from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics
-from mbd_ros.methods.inverse_dynamics.efforts import Mask, listed
-from mbd_ros.methods.inverse_dynamics.force_split import Wish
+from mbd_ros.methods.inverse_dynamics.efforts import Mask, join_names
+from mbd_ros.methods.inverse_dynamics.force_split import ForceTarget
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import Torques
-from mbd_ros.methods.inverse_dynamics.standing import Nearness
+from mbd_ros.methods.inverse_dynamics.stance import StanceThresholds
 from mbd_ros.motion.recordings import Source, name_of, read_columns
 from mbd_ros.scene.built_scene import Scene
 
@@ -36,7 +36,7 @@ Method = Literal["minimum-norm", "smooth"]
 METHODS = get_args(Method)
 _INSIDE = 0.9  # of the friction that a normal force bears: the corners of a foot differ
 _AHEAD = math.exp(4.0 / 9.0), math.exp(-4.0 / 3.0) / 2.0
-Solve = Callable[[int, Wish | None], Torques]
+Solve = Callable[[int, ForceTarget | None], Torques]
 
 
 class StanceTask(NamedTuple):
@@ -50,7 +50,7 @@ class StanceTask(NamedTuple):
     """
 
     method: Method = "minimum-norm"
-    near: Nearness = Nearness()
+    near: StanceThresholds = StanceThresholds()
 
 
 def stance_of(method: str | None, gap: float | None, speed: float | None) -> StanceTask | None:
@@ -69,7 +69,7 @@ def stance_of(method: str | None, gap: float | None, speed: float | None) -> Sta
     for name, value in limits.items():
         if not 0.0 <= value < np.inf:
             raise DataError(f"--stance-{name} {value:g} must be >= 0 and finite")
-    return StanceTask(method, Nearness()._replace(**limits))
+    return StanceTask(method, StanceThresholds()._replace(**limits))
 
 
 class Ground(NamedTuple):
@@ -128,8 +128,8 @@ def _states(source: Source, parts: Sequence[Any]) -> Array | None:
     lacking = [name for name, bad in zip(names, gaps, strict=False) if bad]
     if lacking:
         raise DataError(
-            f"{name_of(source)}: no column {listed(lacking)}, or it has gaps; accepted: the "
-            f"states of all features, or none: {listed(names)}"
+            f"{name_of(source)}: no column {join_names(lacking)}, or it has gaps; accepted: the "
+            f"states of all features, or none: {join_names(names)}"
         )
     return states
 
@@ -170,7 +170,7 @@ def ground_of(scene: Scene, task: StanceTask, known: Sequence[str], say: Say) ->
     unknown = tuple(name for name in scene.unmeasured_contacts if name not in known)
     measured = [name for name in every if name not in unknown]
     if measured:
-        say(f"stance: forces of {listed(measured)} are measured")
+        say(f"stance: forces of {join_names(measured)} are measured")
     return Ground(task, unknown)
 
 
@@ -178,10 +178,10 @@ def standing_in(
     inverse: ClosedLoopInverseDynamics, ground: Ground, states: Sequence[tuple[State, Array]]
 ) -> Mask:
     """Which features stand in each sample, shape (n, features)."""
-    assert inverse.standing is not None
+    assert inverse.stance is not None
     if ground.given is not None:
         return ground.given
-    return np.array([inverse.standing.at(x) for x, _ in states])
+    return np.array([inverse.stance.detect(x) for x, _ in states])
 
 
 def stance_lines(
@@ -192,9 +192,9 @@ def stance_lines(
     passed: str,
 ) -> Iterator[str]:
     """What decided, who stood, and what the forces leave."""
-    feet = inverse.standing
+    feet = inverse.stance
     assert feet is not None
-    stands = np.array([feet.standing_feet(row) for row in standing])
+    stands = np.array([feet.stance_feet(row) for row in standing])
     near = ground.task.near
     by = f"gap <= {near.gap:g} L and speed along the normal <= {near.speed:g} sqrt(g L)"
     if ground.given is not None:
@@ -209,7 +209,7 @@ def stance_lines(
         if passed:
             how = f"{passed}, else {how}"
         yield f"stance: efforts are not determined in {np.mean(free):.0%} of the samples: {how}"
-    bases = np.array([np.concatenate((each.residual, each.carried)) for each in solved])
+    bases = np.array([np.concatenate((each.residual, each.root_residual)) for each in solved])
     if bases.shape[1]:
         weight = float(sum(y.mass for y in inverse.robot.model.inertias)) * float(
             np.linalg.norm(inverse.robot.model.gravity.linear)
@@ -236,7 +236,7 @@ def smooth_transitions(
         states: Motion and accelerations.
         standing: Which features stand, shape (n, features).
         solved: Results, some of which are replaced.
-        solve: Number of a sample and a wish -> its result.
+        solve: Number of a sample and a target -> its result.
 
     Returns:
         How many there are, in words.
@@ -244,9 +244,9 @@ def smooth_transitions(
     transition = _Transition(inverse, states, standing, solved)
     refused = 0
     for support in transition.supports:
-        for i, wish in transition.wishes(support):
+        for i, target in transition.force_targets(support):
             try:
-                solved[i] = solve(i, wish)
+                solved[i] = solve(i, target)
             except SolveError:
                 refused += 1
     passed = f"smooth transition in {len(transition.supports)} double supports"
@@ -271,18 +271,18 @@ class _Transition:
         standing: Mask,
         solved: Sequence[Torques],
     ) -> None:
-        assert inverse.standing is not None
-        self._feet, self._model = inverse.standing, inverse.robot.model
+        assert inverse.stance is not None
+        self._feet, self._model = inverse.stance, inverse.robot.model
         self._states, self._standing = states, standing
         cones = inverse.constraints.cones
         slots = np.concatenate([np.r_[cone.slots] for cone in cones])
         self._forces = [each.multipliers[slots] for each in solved]
         self._mu = min(cone.mu for cone in cones)
         self._times = np.array([x.t for x, _ in states])
-        stands = np.array([self._feet.standing_feet(row) for row in standing])
+        stands = np.array([self._feet.stance_feet(row) for row in standing])
         self.supports = list(double_supports(self._times, stands))
 
-    def wishes(self, support: DoubleSupport) -> Iterator[tuple[int, Wish]]:
+    def force_targets(self, support: DoubleSupport) -> Iterator[tuple[int, ForceTarget]]:
         """The force of the trailing foot in each sample of a double support."""
         (before, samples, foot, end), times = support, self._times
         at_first = self._feet.forces(self._states[before][0])[foot].dot(self._forces[before])
@@ -297,7 +297,7 @@ class _Transition:
             normal = others.dot(self._standing[i])
             normal /= np.linalg.norm(normal)
             kept = kept_force(at_first, way, min(share, 1.0))
-            yield i, Wish(forces[foot], possible_force(kept, total, normal, self._mu))
+            yield i, ForceTarget(forces[foot], possible_force(kept, total, normal, self._mu))
 
 
 class DoubleSupport(NamedTuple):

@@ -23,7 +23,7 @@ from mbd_ros.core.loads.inputs import command_names, input_names
 from mbd_ros.core.muscles.metabolic_rate import Metabolism
 from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
-from mbd_ros.methods.inverse_dynamics.reactions import joined_links
+from mbd_ros.methods.inverse_dynamics.reactions import find_joint_links
 from mbd_ros.optimal_control.phase_equations import PhaseEquations
 from mbd_ros.optimal_control.problem import body_names
 
@@ -192,7 +192,7 @@ class PartQuantities:
         }
         self._loads = {
             f"{joined.link}.load.{component}": (joined, i)
-            for joined in joined_links(equations.system.robot)
+            for joined in find_joint_links(equations.system.robot)
             for i, component in enumerate(_LOAD)
         }
         self._reactions = SymbolicReactions(equations)

@@ -32,7 +32,7 @@ from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.inverse_dynamics.closed_loop import ClosedLoopInverseDynamics, ObservedLoops
 from mbd_ros.methods.inverse_dynamics.efforts import joint_efforts
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics, SampleSolver
-from mbd_ros.methods.inverse_dynamics.standing import Nearness, carriers
+from mbd_ros.methods.inverse_dynamics.stance import StanceThresholds, find_root_joints
 from mbd_ros.methods.projection.assembly import Stabilization
 from mbd_ros.methods.simulation.safe_command import SafeCommand
 from mbd_ros.scene.origin import Origin
@@ -235,9 +235,9 @@ class Scene:
         )
 
     @property
-    def carriers(self) -> tuple[str, ...]:
+    def root_joints(self) -> tuple[str, ...]:
         """Joints that stand for a free base, where forces of contacts are unknown."""
-        return carriers(self.robot, self.actuated if self.actuators else None)
+        return find_root_joints(self.robot, self.actuated if self.actuators else None)
 
     def _offering(self, method: str) -> tuple[Any, ...]:
         """Parts of all sections whose parts have a method, in the order of the table."""
@@ -313,7 +313,7 @@ class Scene:
         *,
         with_bounds: bool = False,
         contacts: Collection[str] = (),
-        near: Nearness | None = None,
+        thresholds: StanceThresholds | None = None,
     ) -> SampleSolver:
         """A solver with its own Pinocchio data, for the independent joints.
 
@@ -324,7 +324,7 @@ class Scene:
         self._refuse_internal("inverse dynamics")
         if self.has_loops or with_bounds or contacts:
             return ObservedLoops(
-                self.closed_loop(with_bounds=with_bounds, contacts=contacts, near=near)
+                self.closed_loop(with_bounds=with_bounds, contacts=contacts, thresholds=thresholds)
             )
         loads = tuple(self.wrenches.values())
         return InverseDynamics(self.robot, self.couplings, loads, self.forces_without_input)
@@ -334,7 +334,7 @@ class Scene:
         *,
         with_bounds: bool = False,
         contacts: Collection[str] = (),
-        near: Nearness | None = None,
+        thresholds: StanceThresholds | None = None,
     ) -> ClosedLoopInverseDynamics:
         """A solver for the efforts of `actuated` and all multipliers, with its own data.
 
@@ -343,7 +343,7 @@ class Scene:
                 friction and limited drives exert at most what their law allows.
             contacts: Names of rigid contacts whose forces are unknown, see `unmeasured_contacts`;
                 joints that stand for a free base exert nothing then.
-            near: Which contacts count as on the ground.
+            thresholds: Which contacts count as on the ground.
 
         Raises:
             SceneError: An actuated joint is unknown or repeated.
@@ -351,7 +351,7 @@ class Scene:
         self._refuse_internal("inverse dynamics")
         loads = tuple(self.wrenches.values())
         try:
-            limits, free = self._effort_limits(), self.carriers if contacts else ()
+            limits, free = self._effort_limits(), self.root_joints if contacts else ()
             driven = {name: limits[name] for name in limits if name not in free}
             efforts = joint_efforts(self.robot, list(driven), list(driven.values()))
             return ClosedLoopInverseDynamics(
@@ -363,8 +363,8 @@ class Scene:
                 self.forces_without_input,
                 with_bounds=with_bounds,
                 contacts=contacts,
-                carriers=free,
-                near=near,
+                root_joints=free,
+                thresholds=thresholds,
             )
         except ModelError as error:
             raise SceneError(f"{self.name}: {error}") from error

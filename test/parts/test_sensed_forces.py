@@ -15,7 +15,7 @@ from mbd_ros.errors import ModelError, SceneError
 from mbd_ros.features.estimation.estimation import estimation_of
 from mbd_ros.features.estimation.task import EstimateTask
 from mbd_ros.features.estimation.tracker import Tracker
-from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
 from mbd_ros.methods.simulation.noisy_sensors import NoisySensors
 
 STEP = 0.002
@@ -25,7 +25,7 @@ def felt(scene, x, u=None):
     """What the sensors of a scene measure at a state, without noise."""
     system = scene.system()
     found = system.evaluate(x, u)
-    reactions = FeltReactions(system).at(x, u, found.a, found.lam)
+    reactions = SystemReactions(system).at(x, u, found.a, found.lam)
     system.k.refresh(x.q, x.v)
     now = Now(found.a, found.lam, reactions)
     return [sensor.measure(system.k, x, now) for sensor in scene.sensors], found
@@ -114,7 +114,7 @@ def test_noise_of_forces_is_that_which_is_asked_for():
     live = scene.simulation()
     x = live.system.expand(live.start(scene.initial))
     found = live.system.evaluate(x)
-    reactions = FeltReactions(live.system).at(x, None, found.a, found.lam)
+    reactions = SystemReactions(live.system).at(x, None, found.a, found.lam)
     noisy, now = NoisySensors(scene.sensors, 5), Now(found.a, found.lam, reactions)
     told = [noisy.at(live.system, x, now, k)[0][0] for k in range(400)]
     assert noisy.needs_reactions and 0.17 < np.std(told) < 0.23

@@ -126,11 +126,12 @@ class StateReconstructor:
             q, is_speed = self._filled(position, known), np.isfinite(velocity)
             measured = known & (self._independent | is_speed)  # or derived, where independent
             v = np.where(measured, np.where(is_speed, velocity, np.nan), self._last.v)
-        before, begin = self._differentiator.memory, self._measured
+        before, begin = self._differentiator.checkpoint(), self._measured
         try:
             found = self._take(stamp, q, v, known, measured)
         except SolveError:
-            self._differentiator.memory, self._measured = before, begin
+            self._differentiator.restore(before)
+            self._measured = begin
             raise
         if isinstance(found, ProjectedState):
             self._measured_at[known] = stamp

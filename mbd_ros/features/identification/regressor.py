@@ -153,7 +153,7 @@ class LoopRegressor:
         self.size = len(self._parameters)
         names = {joint.v: joint.name for joint in robot.joints} | robot.base_titles
         first = [*robot.base_v.tolist(), *(robot.joint(name).v for name in driven)]
-        q = self._inverse.motion.start(start)
+        q = self._inverse.motion.assemble(start)
         J = self._inverse.motion.jacobian(start.t, q)
         self._first = _leading(J, first)
         self._others = np.setdiff1d(np.arange(self._model.nv), self._first)
@@ -173,7 +173,7 @@ class LoopRegressor:
 
     def consistent(self, y: Array, v: Array, a: Array) -> tuple[State, Array]:
         """Return the nearest state and acceleration that satisfy the constraints."""
-        return self._inverse.consistent(*self._solver.measured(0.0, y, v, a))
+        return self._inverse.project_motion(*self._solver.measured(0.0, y, v, a))
 
     def rows(self, y: Array, v: Array, a: Array) -> Array:
         """Return N' W at samples, shape (n, len(labels), `size`)."""
@@ -194,7 +194,7 @@ class LoopRegressor:
         torques = np.empty((len(y), len(self.labels)))
         for i, sample in enumerate(zip(y, v, a, strict=True)):
             x, acceleration = self.consistent(*sample)
-            terms = self._inverse.demand(x, acceleration, [load[i] for load in loads])
+            terms = self._inverse.required_force(x, acceleration, [load[i] for load in loads])
             torques[i] = self.motions(x.q).T @ terms
         known: Array = torques - rows @ self._parameters
         return known

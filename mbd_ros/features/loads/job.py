@@ -32,7 +32,7 @@ from mbd_ros.files.table import (
 )
 from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.motion.derivatives import Derivatives
 from mbd_ros.motion.inverse_solution import Solved, solve_motion
 from mbd_ros.motion.recordings import Source, metadata_of, name_of, refuse_huge
@@ -380,7 +380,7 @@ def tensions_at(
     table = _table(source)
     columns = {} if table is None else _columns(name_of(source), table, paths)
     if given is not None and not columns:
-        wanted = listed([f"{name}.{quantity}" for name in paths for quantity in _QUANTITIES])
+        wanted = join_names([f"{name}.{quantity}" for name in paths for quantity in _QUANTITIES])
         raise DataError(f"--muscle-forces {name_of(given)}: no column {wanted or 'is asked for'}")
     if table is not None and columns:
         at = motion_stamps(table, name_of(source))
@@ -393,7 +393,7 @@ def tensions_at(
             if name in columns:
                 found[:, i] = np.interp(times, since, columns[name])
     if lacking := [name for name in paths if name not in columns]:
-        say(f"tensions of {listed(lacking)} are taken as 0; --muscle-forces gives them")
+        say(f"tensions of {join_names(lacking)} are taken as 0; --muscle-forces gives them")
     return found
 
 

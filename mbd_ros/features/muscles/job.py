@@ -463,7 +463,7 @@ def load_columns(
     """
     total = np.array([each for each, _ in found])
     columns: list[Column] = []
-    for row, one in enumerate(loads.joined):
+    for row, one in enumerate(loads.joint_links):
         frame = {"child": one.link, "parent": one.parent_link, "ground": "world"}[loads.side]
         columns += _load(f"{one.link}.load", total[:, row], frame)
         for i, muscle in enumerate(muscles if asked.by_muscle else ()):

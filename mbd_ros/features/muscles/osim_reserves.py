@@ -6,7 +6,7 @@ from pathlib import Path
 from mbd_ros.core.model.couplings import Couplings
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.errors import ModelError
-from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, CoordinateReserve, reserve_on
+from mbd_ros.methods.inverse_dynamics.reserves import BodyReserve, CoordinateReserve, joint_reserve
 from mbd_ros.scene.models.imported_model import parse_document, read_text
 from mbd_ros.scene.models.osim.item import Item
 
@@ -46,7 +46,7 @@ def read_reserves(path: Path, robot: Robot, couplings: Couplings) -> list[Reserv
 
 def _coordinate(item: Item, robot: Robot, couplings: Couplings) -> Reserve:
     joint, optimal = item.text("coordinate"), _optimal(item)
-    return reserve_on(robot, couplings, joint, optimal, item.name, _bounds(item))
+    return joint_reserve(robot, couplings, joint, optimal, item.name, _bounds(item))
 
 
 def _point(item: Item, robot: Robot, couplings: Couplings) -> Reserve:

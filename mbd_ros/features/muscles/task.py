@@ -23,7 +23,7 @@ from mbd_ros.methods.inverse_dynamics.reserves import (
     InputReserve,
     Reserve,
     coordinate_reserves,
-    reserve_on,
+    joint_reserve,
 )
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.building import Site
@@ -246,7 +246,7 @@ def _reserves(scene: Scene, reserves: Any, where: str, folder: Path) -> Sequence
     if isinstance(reserves, Mapping):
         forces = {n: schema.value(v, Positive, f"{where}.{n}") for n, v in reserves.items()}
         try:
-            return [reserve_on(robot, couplings, name, force) for name, force in forces.items()]
+            return [joint_reserve(robot, couplings, name, force) for name, force in forces.items()]
         except ModelError as error:
             raise SceneError(f"{where}: {error}") from error
     return coordinate_reserves(robot, couplings, schema.value(reserves, Positive, where))

@@ -20,7 +20,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.files.formats import is_bag
 from mbd_ros.files.table import TIME, TIME_LIMIT
 from mbd_ros.jobs.arguments import about
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.motion.external_loads import refuse_unused
 from mbd_ros.motion.recordings import Source, name_of, read_columns, read_motion, read_wrenches
 from mbd_ros.scene.built_scene import Scene, Solver
@@ -224,7 +224,7 @@ def initial_state(scene: Scene, run: Run) -> tuple[State, list[str]]:
     lacking = [n for n, rate in zip(names, velocity, strict=True) if n in free and np.isnan(rate)]
     lacking += resting
     where = f"{name_of(run.origin)}: no velocity of"
-    said = [f"{where} {listed(lacking)}: at rest there"] if lacking else []
+    said = [f"{where} {join_names(lacking)}: at rest there"] if lacking else []
     z, more = _internal_states(scene, run.origin, row)
     return State(run.start, q, v, z), said + more
 
@@ -247,7 +247,7 @@ def _internal_states(scene: Scene, origin: Source, row: int) -> tuple[Array, lis
     columns = read_columns(origin, names)
     z = first if columns is None else np.where(np.isnan(columns[row]), first, columns[row])
     lacking = names if columns is None else np.array(names)[np.isnan(columns[row])].tolist()
-    where = f"{name_of(origin)}: no column {listed(lacking)}"
+    where = f"{name_of(origin)}: no column {join_names(lacking)}"
     return z, [f"{where}: as the scene starts"] if lacking else []
 
 
@@ -279,7 +279,7 @@ def drives(scene: Scene, run: Run) -> tuple[dict[str, InputSource], list[Load], 
     gaps = np.isnan(motion.effort).any(axis=0)
     lacking = [name for name, gap in zip(names, gaps, strict=True) if gap]
     part = resolve("forces", "prescribed_torque", "--efforts")
-    said = [f"{where}: no effort of {listed(lacking)}: 0 there"] if lacking else []
+    said = [f"{where}: no effort of {join_names(lacking)}: 0 there"] if lacking else []
     with about(where):
         torque = part(scene.robot, joints=names, times=times, torque=effort)
     return sources, [torque], said
@@ -307,7 +307,7 @@ def _excitations(scene: Scene, origin: Source) -> tuple[dict[str, InputSource], 
     names, where = [f"{part.name}.excitation" for part in scene.muscles], name_of(origin)
     columns = read_columns(origin, (TIME, *names))
     if columns is None or np.isnan(columns[:, 1:]).all():
-        raise DataError(f"{where}: no column {listed(names)}")
+        raise DataError(f"{where}: no column {join_names(names)}")
     times, values = columns[:, 0], columns[:, 1:]
     given = ~np.isnan(values).any(axis=0)
     with about(where):
@@ -317,7 +317,7 @@ def _excitations(scene: Scene, origin: Source) -> tuple[dict[str, InputSource], 
             if given[i]
         }
     lacking = [name for name, is_given in zip(names, given, strict=True) if not is_given]
-    return held, [f"{where}: no {listed(lacking)}: the least there"] if lacking else []
+    return held, [f"{where}: no {join_names(lacking)}: the least there"] if lacking else []
 
 
 def _held(scene: Scene, motion: Motion, commands: Array) -> dict[str, InputSource]:

@@ -21,7 +21,7 @@ from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.methods.estimation.kalman_update import Bools, Innovation, updated
 from mbd_ros.methods.estimation.state_tangent import StateTangent
-from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
 
 _ASYMMETRY = 1.0e-12  # of a covariance, relative
 _STEP = 1.0e-6  # of differences [m, rad and their rates]
@@ -355,7 +355,7 @@ class SensorSet:
         self._reads = max((_asked(sensor) for sensor in sensors), default=Reads.NOTHING)
         self._needs_forces = any(s.level >= Measures.ACCELERATION for s in sensors)
         feels = any(s.level >= Measures.FORCE for s in sensors)
-        self._felt = FeltReactions(system) if feels else None
+        self._felt = SystemReactions(system) if feels else None
         self._noise_varies = any(s.noise_varies for s in sensors)
         self._R: Array | None = None
         nv = int(system.robot.model.nv)

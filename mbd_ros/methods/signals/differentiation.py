@@ -89,20 +89,20 @@ class CausalDifferentiator:
         self._jumps, self._last_step, self._all_measured = 0, 0, False
         self._position_runs, self._before = False, (np.zeros(len(self._ones)), self._rewind)
 
-    @property
-    def memory(self) -> tuple[Any, ...]:
-        """State by which the next samples are judged; may be set, to its value before a sample."""
-        filters = self._of_position.memory, self._of_velocity.memory
-        answer = self.position, self.velocity, self.acceleration, self._measured
-        judged = self._stamp, self._jumps, self._last_step, self._before
-        return filters, answer, judged, (self._all_measured, self._position_runs)
+    def checkpoint(self) -> tuple[Any, ...]:
+        """Return everything on which the verdict and the result of the next sample depend."""
+        filters = self._of_position.checkpoint(), self._of_velocity.checkpoint()
+        outputs = self.position, self.velocity, self.acceleration, self._measured
+        verdict = self._stamp, self._jumps, self._last_step, self._before
+        return filters, outputs, verdict, (self._all_measured, self._position_runs)
 
-    @memory.setter
-    def memory(self, memory: tuple[Any, ...]) -> None:
-        filters, answer, judged, (self._all_measured, self._position_runs) = memory
-        self._of_position.memory, self._of_velocity.memory = filters
-        self.position, self.velocity, self.acceleration, self._measured = answer
-        self._stamp, self._jumps, self._last_step, self._before = judged
+    def restore(self, checkpoint: tuple[Any, ...]) -> None:
+        """Return to the state in which `checkpoint` was taken."""
+        filters, outputs, verdict, (self._all_measured, self._position_runs) = checkpoint
+        self._of_position.restore(filters[0])
+        self._of_velocity.restore(filters[1])
+        self.position, self.velocity, self.acceleration, self._measured = outputs
+        self._stamp, self._jumps, self._last_step, self._before = verdict
 
     def update(
         self,
@@ -408,14 +408,14 @@ class LowPass:
         summed: Array = np.einsum("wkm,wrc->krcm", np.array(weights), terms)
         return summed
 
-    @property
-    def memory(self) -> Array:
-        """State on which the next steps depend; may be set, to an earlier value."""
+    def checkpoint(self) -> Array:
+        """Return the state on which the next steps depend."""
         return self._last
 
-    @memory.setter
-    def memory(self, kept: Array) -> None:
-        self._last, self.state = kept, kept[:-1]
+    def restore(self, checkpoint: Array) -> None:
+        """Return to the state in which `checkpoint` was taken."""
+        self._last = checkpoint
+        self.state = checkpoint[:-1]
 
     def _terms_of_step(self, order: int) -> Array:
         """Factors of e, e h, e h^2, e/h, 1 and 1/h in [D, K+ - D K], with e = exp(-w h).

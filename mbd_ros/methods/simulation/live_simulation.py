@@ -24,7 +24,7 @@ from mbd_ros.methods.simulation.simulation import Simulation
 
 if TYPE_CHECKING:
     from mbd_ros.methods.events.step_events import Event
-    from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+    from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
     from mbd_ros.methods.simulation.noisy_sensors import NoisySensors
 
 _NO_TWISTS: Array = np.zeros((0, TWIST))
@@ -90,7 +90,7 @@ class LiveSimulation:
         self.simulation, self.fault, self._steps = simulation, "", 0
         system, loads = simulation.system, simulation.system.loads
         self.showing = Showing(system.k, system.layout, (*loads.actuators, *loads.forces))
-        self._felt: FeltReactions | None = None
+        self._felt: SystemReactions | None = None
         self._commands = sum(len(a.inputs) for a in simulation.system.loads.actuators)
         for watch in self.watches:
             watch.restart()
@@ -169,7 +169,7 @@ class LiveSimulation:
             if self._felt is None:
                 from mbd_ros.methods.inverse_dynamics import reactions as felt_reactions
 
-                self._felt = felt_reactions.FeltReactions(system)
+                self._felt = felt_reactions.SystemReactions(system)
             reactions = self._felt.at(self._x, u, a, lam)
         return sensors.at(system, self._x, Now(a, lam, reactions), sample)
 

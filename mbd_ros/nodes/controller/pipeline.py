@@ -141,7 +141,7 @@ class ControlPipeline:
                 none.
         """
         observer = self.observer
-        before = observer.memory
+        before = observer.checkpoint()
         seen = observer.observe(stamp, sample.position, sample.velocity, self.joints.present)
         if not isinstance(seen, Observation):
             return seen
@@ -150,7 +150,7 @@ class ControlPipeline:
         try:
             x = self._observed.state(self._seconds(stamp), seen.position, seen.velocity)
         except SolveError:
-            observer.memory = before
+            observer.restore(before)
             raise
         self.x = x
         off = seen.dependent - self._observed.dependent

@@ -11,7 +11,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64MultiArray, String
 
 from mbd_ros.errors import SolveError
-from mbd_ros.methods.inverse_dynamics.standing import Nearness
+from mbd_ros.methods.inverse_dynamics.stance import StanceThresholds
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.inverse_dynamics.pipeline import Part, Pipeline
@@ -44,7 +44,7 @@ PARAMETERS = (
         "stance_gap",
         float,
         "Largest gap of what is on the ground, as a multiple of the size [-].",
-        Nearness().gap,
+        StanceThresholds().gap,
         low=0.0,
         high=1.0,
     ),
@@ -52,7 +52,7 @@ PARAMETERS = (
         "stance_speed",
         float,
         "Largest speed of it along the normal, of the root of gravity times size [-].",
-        Nearness().speed,
+        StanceThresholds().speed,
         low=0.0,
         high=100.0,
     ),

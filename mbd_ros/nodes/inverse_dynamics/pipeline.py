@@ -19,7 +19,7 @@ from mbd_ros.errors import SceneError
 from mbd_ros.files.bag_paths import by_member, joint_state_topic, odometry_topic
 from mbd_ros.methods.inverse_dynamics.closed_loop import ObservedLoops
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import SampleSolver, Torques
-from mbd_ros.methods.inverse_dynamics.standing import Nearness
+from mbd_ros.methods.inverse_dynamics.stance import StanceThresholds
 from mbd_ros.methods.inverse_dynamics.torque_estimator import Observation, TorqueEstimator
 from mbd_ros.methods.signals.differentiation import SampleStatus
 from mbd_ros.nodes.shell.parameters import tuning
@@ -95,8 +95,8 @@ class Pipeline:
                 f"{self.scene.name}: stance {values.stance}: no rigid contact without a wrench; "
                 "accepted: none"
             )
-        near = Nearness(values.stance_gap, values.stance_speed)
-        return self.scene.inverse_dynamics(contacts=contacts, near=near)
+        thresholds = StanceThresholds(values.stance_gap, values.stance_speed)
+        return self.scene.inverse_dynamics(contacts=contacts, thresholds=thresholds)
 
     def take_phase(self, name: str) -> None:
         """Contacts of a phase are on the ground from now on.
@@ -108,9 +108,10 @@ class Pipeline:
         if name not in phases:
             known = ", ".join(phases) or "none"
             raise MessageError(f"phase '{name}' is none of the scene; it has {known}")
-        if isinstance(loops, ObservedLoops) and loops.inverse.standing is not None:
+        if isinstance(loops, ObservedLoops) and loops.inverse.stance is not None:
             plan = phases[name]
-            loops.told = loops.inverse.standing.of(plan.contacts) if plan.keeps_closed else None
+            stance = loops.inverse.stance.select(plan.contacts) if plan.keeps_closed else None
+            loops.prescribed_stance = stance
 
     def with_power(self) -> None:
         """Answer with powers from now on."""
@@ -182,8 +183,9 @@ class Pipeline:
         ]
         if off:
             return WARN, f"off their couplings: {', '.join(off)}; the independent joints are used"
-        if self._solver.moved > tolerance:
-            return WARN, f"off the loops by {self._solver.moved:.4g}; the nearest state is used"
+        if self._solver.correction > tolerance:
+            correction = self._solver.correction
+            return WARN, f"off the loops by {correction:.4g}; the nearest state is used"
         doubts = self._solver.doubts()
         if doubts:
             return WARN, "; ".join(doubts)
@@ -221,7 +223,7 @@ class Pipeline:
             f"settled after {filters.settling_time:.4f} s",
             "largest coupling violation": f"{np.abs(self._violation).max(initial=0.0):.6g}",
             "solver tier": inverse_tier(self.scene),
-            **({"off the loops": f"{self._solver.moved:.6g}"} if self._has_loops else {}),
+            **({"off the loops": f"{self._solver.correction:.6g}"} if self._has_loops else {}),
             **({"contacts of unknown force": contacts} if contacts else {}),
             **({"on the ground": feet} if feet else {}),
             **({"topics not heard": self._unheard} if several else {}),
@@ -231,13 +233,13 @@ class Pipeline:
     def _feet(self) -> str:
         """Features on the ground in the newest sample; empty where nobody asks."""
         solver = self._solver
-        if not isinstance(solver, ObservedLoops) or solver.inverse.standing is None:
+        if not isinstance(solver, ObservedLoops) or solver.inverse.stance is None:
             return ""
-        standing = solver.inverse.standing
+        standing = solver.inverse.stance
         if solver.motion is None:
             return "none"
-        told = solver.told
-        stands = standing.at(solver.motion[0]) if told is None else told
+        prescribed = solver.prescribed_stance
+        stands = standing.detect(solver.motion[0]) if prescribed is None else prescribed
         on = zip(standing.features, stands, strict=True)
         return ", ".join(name for name, is_on in on if is_on) or "none"
 

@@ -25,7 +25,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import TOGGLE
 from mbd_ros.errors import DivergedError, SolveError
 from mbd_ros.methods.integration.stepping import BlockStepper
-from mbd_ros.methods.inverse_dynamics.efforts import listed
+from mbd_ros.methods.inverse_dynamics.efforts import join_names
 from mbd_ros.methods.projection.assembly import assemble
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.scene.built_scene import Scene
@@ -129,7 +129,7 @@ def _held_start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     if not scene.has_loops:
         return system.reduce(scene.initial), None
     motion = scene.closed_loop().motion
-    x = scene.initial._replace(q=motion.start(scene.initial))
+    x = scene.initial._replace(q=motion.assemble(scene.initial))
     return x, RowFactor(motion.metric(x.q), system.held.jacobian(x.t, x.q))
 
 
@@ -166,11 +166,11 @@ def _apart(system: System, y: State) -> State:
 def _reach(scene: Scene, x: State) -> Iterator[Line]:
     """The reach of the actuators at the assembled start, for inverse dynamics."""
     reach = scene.closed_loop().reach(x)
-    names = listed(scene.actuated) or "none"
+    names = join_names(scene.actuated) or "none"
     reason = "" if scene.actuators else "; no actuators section: every independent joint"
     yield "actuated", f"{names}{reason}; {reach.driven} of {reach.freedom} motions driven"
     if reach.null_space:
-        text = f"dimension {reach.null_space}: {listed(reach.undetermined)}"
+        text = f"dimension {reach.null_space}: {join_names(reach.undetermined)}"
         yield "null space", f"{text} are not determined by a motion"
     if reach.undriven:
         joints = ", ".join(reach.undriven)
@@ -303,7 +303,7 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
     method = integrator_of(scene)
     name, order = type(method).__name__, method.order
     if method.at_velocity_level:
-        names = listed([block.part.name for block in layout.yielding])
+        names = join_names([block.part.name for block in layout.yielding])
         yield "stepped", f"{names}; solved for once a step of {name}, impacts included"
         return
     exact, smoothed = (
@@ -312,20 +312,20 @@ def row_lines(scene: Scene, layout: RowLayout) -> Iterator[Line]:
     )
     if exact:
         text = "steps end where rows begin and cease to act"
-        yield "exact", f"{listed(exact)}; {text}, {name} keeps its order {order}"
+        yield "exact", f"{join_names(exact)}; {text}, {name} keeps its order {order}"
     if smoothed:
         where = "in steps in which a row begins or ceases to act"
         cost = f"{name} has order {SMOOTHED_ORDER} in place of {order} {where}"
         if order <= SMOOTHED_ORDER:
             cost = f"{name} has order {order} all the same"
-        yield "smoothed", f"{listed(smoothed)}; solved for in every evaluation, {cost}"
+        yield "smoothed", f"{join_names(smoothed)}; solved for in every evaluation, {cost}"
 
 
 def contact_words(part: Any) -> str:
     """Bodies and features, and whether events of a rigid contact can be found."""
     a, b = part.pair.between
     count = f"{len(part.features)} features: " if len(part.features) > 1 else ""
-    text = f"between {a.frame} and {b.frame}, {count}{listed(part.features)}"
+    text = f"between {a.frame} and {b.frame}, {count}{join_names(part.features)}"
     law = getattr(part, "law", None)
     if law is None or law.kind is not Kind.CONE:
         return text
@@ -405,7 +405,7 @@ def inverse_cost(scene: Scene, x: State) -> str:
 def _loop_cost(scene: Scene, x: State) -> str:
     drives = [section.key for section in scene.sections if "command" in section.offers]
     every = scene.without(drives).closed_loop()  # so that no fixed base is out of reach
-    x, a = every.consistent(x, np.zeros(scene.robot.model.nv))
+    x, a = every.project_motion(x, np.zeros(scene.robot.model.nv))
     call = (lambda: every.reach(x)) if scene.robot.floating else (lambda: every.solve(x, a))
     return f"one inverse-dynamics call {_best(call) * 1e6:.0f} us"
 

@@ -275,7 +275,7 @@ def test_inverse_dynamics_counts_the_force_of_an_edge():
     assert found.tau == pytest.approx(list(torques.values()), abs=1e-9)
     assert found.multipliers == pytest.approx(now.lam, abs=1e-9)
     slips = x._replace(v=x.v + np.array((0.0, 0.1, 0.0, 0.0, 0.0, 0.0)))
-    again, _ = inverse.consistent(slips, now.a)
+    again, _ = inverse.project_motion(slips, now.a)
     assert abs(edge_by_hand(scene, again)[0] @ again.v) <= 1e-12
 
 

@@ -138,7 +138,7 @@ def test_loads_of_joints_by_muscle_add_up(arm):
         total = table[f"lower.load.force_{axis}"]
         assert total == pytest.approx(parts + bare[f"lower.load.force_{axis}"], abs=1e-6)
     assert table.column("lower.load.moment_y").unit == "N·m"
-    with pytest.raises(SceneError, match="no joint carries link 'trunk'; joints carry upper"):
+    with pytest.raises(SceneError, match="no joint carries link 'trunk'; accepted: upper"):
         arm.muscle_forces(motion(), reactions="child", links=["trunk"])
 
 

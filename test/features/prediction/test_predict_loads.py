@@ -104,8 +104,8 @@ def _loads(scene, system, reactions, x, a, lam, u):
     """Of all links in their own axes."""
     loads = JointLoads(scene.robot, reactions, list(scene.muscles))
     if not scene.muscles:
-        felt = reactions.solve(x, a, lam, (), u).local[[one.row for one in loads.joined]]
-        places = [scene.robot.places.points[one.child.number].at for one in loads.joined]
+        felt = reactions.solve(x, a, lam, (), u).local[[one.row for one in loads.joint_links]]
+        places = [scene.robot.places.points[one.child.number].at for one in loads.joint_links]
         turns = np.array([place.rotation for place in places])
         return (felt.reshape(-1, 2, 3) @ turns).reshape(-1, 6)
     tension = np.array([_tension(one, system.k, x, u) for one in scene.muscles])

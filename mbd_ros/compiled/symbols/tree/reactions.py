@@ -21,7 +21,7 @@ from mbd_ros.compiled.symbols.tree.newton_euler import Needed, carried, needed
 from mbd_ros.compiled.symbols.untraceable import Untraceable, tracing
 from mbd_ros.core.contracts import Wrench
 from mbd_ros.core.kinematics.paths.polynomial_path import PolynomialPath
-from mbd_ros.methods.inverse_dynamics.reactions import Joined
+from mbd_ros.methods.inverse_dynamics.reactions import JointLink
 
 
 class SymbolicReactions:
@@ -48,7 +48,7 @@ class SymbolicReactions:
         every = [self._in_joint(sums, place) for place in places]
         return np.array(every, dtype=object).reshape(-1, 6)
 
-    def load(self, joined: Joined) -> list[Any]:
+    def load(self, joined: JointLink) -> list[Any]:
         """Six numbers of the load of a joint in axes of the link, where muscles pull on bodies.
 
         Raises:

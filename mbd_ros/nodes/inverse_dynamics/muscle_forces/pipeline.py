@@ -62,7 +62,7 @@ class MusclePipeline(Pipeline):
         self._muscle_forces = JointStateCdrWriter(muscles)
         self._activations = MultiArrayCdrWriter(len(muscles), muscles)
         self._reserves = JointStateCdrWriter(reserves, ("effort",)) if reserves else None
-        joined = () if loads is None else loads.joined
+        joined = () if loads is None else loads.joint_links
         self.links = [one.link for one in joined]
         axes = {"child": "link", "parent": "parent_link"}
         attribute = axes.get(values.reactions)

@@ -17,7 +17,7 @@ from mbd_ros.features.estimation.estimation import Estimation, made_ready
 from mbd_ros.features.estimation.faults import Cusum, FaultNaming, Named
 from mbd_ros.features.estimation.state_reconstruction import Determination, Determinations
 from mbd_ros.features.estimation.tracker import Taken
-from mbd_ros.methods.inverse_dynamics.reactions import FeltReactions
+from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline, refuse_unknown
 from mbd_ros.scene.built_scene import Scene
@@ -62,7 +62,7 @@ class TwinPipeline(EstimatorPipeline):
         wanted = list(names if _ALL in values.reactions else values.reactions)
         refuse_unknown(wanted, names)
         self.reactions = {name: (names.index(name), WrenchStamped()) for name in wanted}
-        self._felt = FeltReactions(system)
+        self._felt = SystemReactions(system)
         self._frames = {j.name: child_link(robot.model, j.v) for j in robot.joints}
         self._writer_of_numbers = MultiArrayCdrWriter(len(_NUMBERS), _NUMBERS)
         self._naming = self._name_faults(values)
