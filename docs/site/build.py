@@ -95,7 +95,8 @@ def groups(index: str) -> Mapping[str, list[str]]:
     _, *pieces = _HEADING.split(index)
     titles, texts = pieces[::2], pieces[1::2]
     pages = {title: _PAGE.findall(text) for title, text in zip(titles, texts, strict=True)}
-    pages[GROUP_OF_GENERATED] += GENERATED
+    listed = pages[GROUP_OF_GENERATED]
+    listed += [name for name in GENERATED if name not in listed]
     return pages
 
 
