@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.complementarity.contact_problem import ContactProblem, Residuals
-from mbd_ros.core.dynamics.gap_speed_bound import GapSpeed, bodies_of
 from mbd_ros.core.dynamics.mechanism import ImpulseResponse, Mechanism
 from mbd_ros.core.nonsmooth.unilateral_rows import (
     Acting,
@@ -30,6 +29,7 @@ from mbd_ros.core.nonsmooth.unilateral_rows import (
 )
 from mbd_ros.core.rows.constraint import Kind
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
+from mbd_ros.core.rows.gap_speed_bound import GapSpeed, bodies_of
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import SolveError
@@ -415,7 +415,7 @@ class ContactScreening(StepRows):
 
     A contact that is farther away than its bodies can go in a few steps is not looked at. What is
     known of its gap is reduced by the largest speed of the gap per speed of the joints, times the
-    way that the joints have gone since (`core/dynamics/gap_speed_bound`). That saves time and
+    way that the joints have gone since (`core/rows/gap_speed_bound`). That saves time and
     changes no result.
 
     Args:

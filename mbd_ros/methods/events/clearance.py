@@ -8,11 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 import pinocchio as pin
 
-from mbd_ros.core.dynamics.gap_speed_bound import GapSpeed, bodies_of
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.kinematics.kinematics import Kinematics, Reads
 from mbd_ros.core.rows.constraint import Constraint, Kind
 from mbd_ros.core.rows.constraint_rows import RowBlock
+from mbd_ros.core.rows.gap_speed_bound import GapSpeed, bodies_of
 from mbd_ros.core.state import Array, State
 
 _AHEAD = 4.0  # paths of the last step that several steps at once stay away from a search
