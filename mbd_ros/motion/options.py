@@ -10,7 +10,7 @@ MOTION = "CSV (.gz), .npz, .parquet, .mot, .sto, rosbag2 folder, .mcap or .db3 w
 _TASK = "mbd_ros.motion.samples:Task"
 _DERIVATIVES = "mbd_ros.motion.derivatives:Derivatives"
 _STANCE = "mbd_ros.motion.stance:StanceTask"
-_NEARNESS = "mbd_ros.methods.inverse_dynamics.standing:Nearness"
+_STANCE_THRESHOLDS = "mbd_ros.methods.inverse_dynamics.stance:StanceThresholds"
 
 
 def add_motions(parser: argparse.ArgumentParser) -> None:
@@ -83,4 +83,4 @@ def add_stance(parser: argparse.ArgumentParser) -> None:
     add_option(parser, _STANCE, "method", "--stance", dest="stance", default=None)
     for name in ("gap", "speed"):
         flag, dest = f"--stance-{name}", f"stance_{name}"
-        add_option(parser, _NEARNESS, name, flag, dest=dest, only_given=True)
+        add_option(parser, _STANCE_THRESHOLDS, name, flag, dest=dest, only_given=True)
