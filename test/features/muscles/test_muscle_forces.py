@@ -195,7 +195,7 @@ def test_measured_activations_are_least(arm, tmp_path):
 @pytest.mark.parametrize(
     ("column", "times", "match"),
     [
-        ("biceps.activation", [0.0, 1.0], "no column of a muscle, accepted: front.activation"),
+        ("biceps.activation", [0.0, 1.0], "has no column of a muscle, accepted: front.activation"),
         ("flexor.activation", [0.3, 1.0], "do not cover the motion at 0 to 1 s"),
         ("flexor.activation", [0.0, 1.0, 2.0], "flexor.activation at 2 s is 2, accepted: 0 .. 1"),
     ],

@@ -87,7 +87,7 @@ def test_a_finer_mesh_changes_little(swing):
 
 def known_trial(muscles, points):
     """Muscles at alternate sides of one joint, with one reserve."""
-    t, ones = points.whole, np.ones((len(points.whole), len(muscles)))
+    t, ones = points.times_with_start, np.ones((len(points.times_with_start), len(muscles)))
     laws = [muscle.contraction for muscle in muscles]
     moved = 1.0 + 0.04 * np.sin(6.0 * t[:, None] + np.arange(len(muscles)))
     length = np.array([law.slack for law in laws]) + moved * [law.optimal for law in laws]
@@ -111,7 +111,7 @@ def test_a_part_beside_a_known_rest_is_solved_as_the_whole_is(swing, kind):
     trial = known_trial(muscles, points)
     elastic = [i for i, muscle in enumerate(muscles) if muscle.is_elastic]
     fibers = np.array([muscles[i].contraction.optimal for i in elastic])
-    ones = np.ones((len(points.whole), 1))
+    ones = np.ones((len(points.times_with_start), 1))
     a, effort, lengths = 0.1 * ones * np.ones(len(muscles)), 0.0 * ones, ones * fibers
     guess = Excited(a, a, effort, lengths, 0.0 * lengths)
     given = muscles, trial, points.scheme, 2.0
@@ -168,5 +168,5 @@ def test_what_cannot_be_is_named(swing, options, said):
 def test_a_motion_that_muscles_cannot_produce_names_what_lacks(swing):
     leg, motion = swing
     weak = leg.with_({f"{part.name}.max_isometric_force": 1.0 for part in leg.muscles})
-    with pytest.raises(MbdError, match=r"lacks most: \w+ at 0\.\d+ s .*; give reserves"):
+    with pytest.raises(MbdError, match=r"residual forces: \w+ at 0\.\d+ s .*; add reserves"):
         weak.muscle_forces(motion, dynamics="activation", interval=0.1)
