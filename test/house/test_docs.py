@@ -142,7 +142,7 @@ def test_every_command_and_option_exists(page, words):
     known = {name for w in words.values() for option in w.options for name in option.names}
     known |= OTHERS | FUZZ | {name for names in EXAMPLES.values() for name in names}
     options = set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text))
-    commands = set(re.findall(r"(?:`|^|\. )mbd-ros ([a-z_-]+)", text, re.MULTILINE))
+    commands = set(re.findall(r"(?:`|^|\. )mbd-ros ([a-z][a-z_-]*)", text, re.MULTILINE))
     assert options <= known
     assert commands <= {*words, *EXAMPLES}
 
