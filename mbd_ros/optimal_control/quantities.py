@@ -83,8 +83,8 @@ class Quantities:
             )
         return found
 
-    def asked(self) -> dict[str, tuple[Quantity, str]]:
-        """What somebody asked for of parts, sensors and joints, with units, by name."""
+    def requested(self) -> dict[str, tuple[Quantity, str]]:
+        """Quantities of parts, sensors and joints that have been requested, and units, by name."""
         names = (name for name in self._named if name in self._parts.names)
         return {name: (self._named[name], self._parts.unit(name)) for name in names}
 
@@ -176,7 +176,7 @@ class Quantities:
 
 
 class PartQuantities:
-    """Numbers of sensors and parts by name, as tables call them; made when they are asked for."""
+    """Numbers of sensors and parts by the names of their columns, built on first use."""
 
     def __init__(self, equations: Equations, sensors: Sequence[Sensor] = ()) -> None:
         self._e, self._shown = equations, dict[str, list[Any]]()

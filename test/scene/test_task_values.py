@@ -9,7 +9,7 @@ from places import ROOT
 from mbd_ros.api import load_scene
 from mbd_ros.errors import MbdError, SceneError
 from mbd_ros.features.estimation.estimation import estimation_of
-from mbd_ros.features.prediction.problem import problem_of
+from mbd_ros.features.prediction.problem import build_problem
 from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.reading.building import build
 from mbd_ros.scene.schema.sections import TASKS, keys
@@ -190,7 +190,7 @@ def test_the_speed_of_several_positions_is_refused(tmp_path):
     text = PREDICTED.replace("type: speed, of: cart.position", 'type: speed, of: "*.position"')
     scene = load_scene("cart_pole")
     with pytest.raises(MbdError, match="goal speed: '\\*.position' is cart.position, pole"):
-        problem_of(scene, parts_of(mapping_of(text, "task"), scene, tmp_path)["predict"])
+        build_problem(scene, parts_of(mapping_of(text, "task"), scene, tmp_path)["predict"])
 
 
 @pytest.mark.parametrize("kind", ["[a]", "{a: b}", "3", "null", "{}"])

@@ -9,7 +9,7 @@ import mbd_ros as mbd
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import State
 from mbd_ros.errors import MbdError
-from mbd_ros.features.prediction.modes import modes_of
+from mbd_ros.features.prediction.modes import build_phase_modes
 from mbd_ros.features.prediction.task import predict_task
 from mbd_ros.methods.inverse_dynamics.reactions import JointLoads, JointReactions
 from mbd_ros.optimal_control.phase_equations import LETTERS, PhaseEquations
@@ -60,7 +60,7 @@ def sensed(scene):
 def phase_of(scene):
     """The first phase of a scene, its system and its mode."""
     task = predict_task({"duration": 1.0, "goals": [{"type": "effort"}]}, "predict")
-    _, system, mode, _ = modes_of(scene, task)[0]
+    _, system, mode, _ = build_phase_modes(scene, task)[0]
     return PhaseEquations(traced(scene, system, (), mode).equations), system, mode
 
 
