@@ -51,10 +51,10 @@ def _usage(action: argparse.Action) -> str:
     """Return an argument as a command line contains it."""
     choices = "|".join(map(str, action.choices)) if action.choices else ""
     metavar = action.metavar
-    shown = (metavar if isinstance(metavar, str) else " ".join(metavar or ())) or choices
+    values = (metavar if isinstance(metavar, str) else " ".join(metavar or ())) or choices
     if not action.option_strings:
-        return shown or action.dest.upper()
-    value = "" if action.nargs == 0 else f" {shown or action.dest.upper()}"
+        return values or action.dest.upper()
+    value = "" if action.nargs == 0 else f" {values or action.dest.upper()}"
     return ", ".join(action.option_strings) + value
 
 
