@@ -139,15 +139,15 @@ def is_same(one: State, other: State) -> bool:
     return (
         one.t == other.t
         and one.mode == other.mode
-        and all(a.tobytes() == b.tobytes() for a, b in arrays)
+        and all(have_same_bits(a, b) for a, b in arrays)
     )
 
 
-def is_same_input(u: Array | None, other: Array | None) -> bool:
-    """Whether two inputs are equal; NaN is equal to NaN, and 0 is not equal to -0."""
-    if u is None or other is None or u is other:
-        return u is other
-    return u.tobytes() == other.tobytes()
+def have_same_bits(a: Array | None, b: Array | None) -> bool:
+    """Whether two arrays are equal, or both None; NaN equals NaN, and 0 does not equal -0."""
+    if a is None or b is None or a is b:
+        return a is b
+    return a.tobytes() == b.tobytes()
 
 
 def is_symbol(value: object) -> bool:

@@ -183,11 +183,11 @@ class ComposedSystem:
                 self._free = FreeDerivatives(self._mechanism, self.chart, self.internals)
             return self._free.at(y, u, inputs=inputs)
         field = self._integrated.accelerator(mode_at(self, y, u))
-        linear = Linearization(self._integrated, field)
+        linear = Linearization(self._integrated)
         if self._extended is None:
-            return linear.derivatives(y, u, inputs=inputs)
+            return linear.derivatives(field, y, u, inputs=inputs)
         n, x = self.nv, self._extended.joined(y)
-        by_q, by_v, _, by_u, *_ = linear.derivatives(x, u, inputs=inputs)
+        by_q, by_v, _, by_u, *_ = linear.derivatives(field, x, u, inputs=inputs)
         rates = Derivatives(by_q[n:, :n], by_v[n:, :n], by_v[n:, n:], by_u[n:])
         return Derivatives(by_q[:n, :n], by_v[:n, :n], by_v[:n, n:], by_u[:n], rates)
 

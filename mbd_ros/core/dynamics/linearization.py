@@ -35,38 +35,43 @@ class Linearization:
 
     Args:
         system: A `System`, or an `Extended` one.
-        field: Writes the f.
-
-    Attributes:
-        stiffness: df/dq at the last update, shape (nv, nv); a new array each time.
-        damping: df/dv, same shape.
     """
 
-    def __init__(self, system: Any, field: Accelerator) -> None:
+    def __init__(self, system: Any) -> None:
         self._system = system
-        self._field = field
         self._step, self._base, self._moved = np.zeros((3, system.nv))
         self._upper: Array | None = getattr(system, "upper", None)
-        self.stiffness = np.zeros((system.nv, system.nv))
-        self.damping = np.zeros((system.nv, system.nv))
 
-    def update(self, t: float, q: Array, v: Array, u: Array | None) -> None:
-        """Differentiate at a state."""
-        field, step, there = self._field, self._step, self._moved
-        chart, (base, self.damping) = self._system.chart, self.by_velocity(t, q, v, u)
-        self.stiffness = np.empty((len(step), len(step)))
+    def slopes(
+        self, field: Accelerator, t: float, q: Array, v: Array, u: Array | None
+    ) -> tuple[Array, Array]:
+        """Return stiffness df/dq and damping df/dv at a state, shape (nv, nv) each.
+
+        Args:
+            field: Function of t, q, v, u that writes f into its fifth argument.
+            t: Time [s].
+            q: Configuration, shape (nq,).
+            v: Velocity, shape (nv,).
+            u: Inputs, as for `System.evaluate`.
+        """
+        step, there = self._step, self._moved
+        chart, (base, damping) = self._system.chart, self.by_velocity(field, t, q, v, u)
+        stiffness = np.empty((len(step), len(step)))
         lengths = self._lengths(t, q)
         for i in range(len(step)):
             step[i] = lengths[i]
             moved = chart.integrate(q, step)
             length = moved[i] - q[i] if chart.is_flat else step[i]
             field(t, moved, v, u, there)
-            self.stiffness[:, i] = (there - base) / length
+            stiffness[:, i] = (there - base) / length
             step[i] = 0.0
+        return stiffness, damping
 
-    def by_velocity(self, t: float, q: Array, v: Array, u: Array | None) -> tuple[Array, Array]:
-        """The f at a state, not to be written to, shape (nv,), and df/dv, shape (nv, nv)."""
-        field, step, base, there = self._field, self._step, self._base, self._moved
+    def by_velocity(
+        self, field: Accelerator, t: float, q: Array, v: Array, u: Array | None
+    ) -> tuple[Array, Array]:
+        """Return f at a state, read-only, shape (nv,), and df/dv, shape (nv, nv)."""
+        step, base, there = self._step, self._base, self._moved
         field(t, q, v, u, base)
         damping = np.empty((len(step), len(step)))
         for i in range(len(step)):
@@ -79,25 +84,34 @@ class Linearization:
             step[i] = 0.0
         return base, damping
 
-    def derivatives(self, y: State, u: Array | None, *, inputs: bool) -> Derivatives:
-        """Derivatives at a state; those by u cost an evaluation each where they are wanted."""
-        self.update(y.t, y.q, y.v, u)
-        by_u = self._by_inputs(y, u) if inputs else np.zeros((len(self._step), 0))
-        none = np.zeros((len(self._step), len(y.z)))
-        return Derivatives(self.stiffness, self.damping, none, by_u)
+    def derivatives(
+        self, field: Accelerator, y: State, u: Array | None, *, inputs: bool
+    ) -> Derivatives:
+        """Return the derivatives at a state; those by u cost an evaluation each.
 
-    def _by_inputs(self, y: State, u: Array | None) -> Array:
-        given = np.array(self._system.loads.idle if u is None else u, dtype=np.float64)
-        found = np.empty((len(self._step), len(given)))
-        for i in range(len(given)):
-            moved = given.copy()
-            moved[i] += _STEP * max(1.0, abs(float(given[i])))
-            self._field(y.t, y.q, y.v, moved, self._moved)
-            found[:, i] = (self._moved - self._base) / (moved[i] - given[i])
-        return found
+        Args:
+            field: Function of t, q, v, u that writes f into its fifth argument.
+            y: State of what is integrated.
+            u: Inputs, as for `System.evaluate`.
+            inputs: Whether the derivatives by u are wanted.
+        """
+        stiffness, damping = self.slopes(field, y.t, y.q, y.v, u)
+        by_u = self._by_inputs(field, y, u) if inputs else np.zeros((len(self._step), 0))
+        none = np.zeros((len(self._step), len(y.z)))
+        return Derivatives(stiffness, damping, none, by_u)
+
+    def _by_inputs(self, field: Accelerator, y: State, u: Array | None) -> Array:
+        inputs = np.array(self._system.loads.idle if u is None else u, dtype=np.float64)
+        slopes = np.empty((len(self._step), len(inputs)))
+        for i in range(len(inputs)):
+            moved = inputs.copy()
+            moved[i] += _STEP * max(1.0, abs(float(inputs[i])))
+            field(y.t, y.q, y.v, moved, self._moved)
+            slopes[:, i] = (self._moved - self._base) / (moved[i] - inputs[i])
+        return slopes
 
     def _lengths(self, t: float, q: Array) -> Array:
-        """Steps of the coordinates that move no joint by more than `_STEP`, shape (nv,).
+        """Return steps of the coordinates that move no joint by more than `_STEP`, shape (nv,).
 
         A joint that depends on one by a steep coupling function moves further.
         """
@@ -247,7 +261,7 @@ class Balance:
     def __init__(self, system: Any) -> None:
         self._system = system
         self._kept = system.held
-        self._linearization = Linearization(system, self._write)
+        self._linearization = Linearization(system)
 
     def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:
         """The f, shape (nv,).
@@ -266,9 +280,8 @@ class Balance:
         self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array
     ) -> tuple[Array, Array]:
         """Of f by steps in the tangent of q and by v, each of shape (nv, nv)."""
-        self._at = a, lam
-        self._linearization.update(t, q, v, u)
-        return self._linearization.stiffness, self._linearization.damping
 
-    def _write(self, t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-        out[...] = self.force(t, q, v, u, *self._at)
+        def write(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
+            out[...] = self.force(t, q, v, u, a, lam)
+
+        return self._linearization.slopes(write, t, q, v, u)

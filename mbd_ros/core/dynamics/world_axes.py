@@ -69,7 +69,7 @@ class InWorldAxes:
     def derivatives(self, x: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
         """Derivatives of accelerations by differences; as `System.derivatives`."""
         field = self.accelerator(mode_at(self.system, self.turned_back(x), u))
-        return Linearization(self, field).derivatives(x, u, inputs=inputs)
+        return Linearization(self).derivatives(field, x, u, inputs=inputs)
 
     def expand(self, x: State) -> State:
         """State of all joints."""

@@ -439,7 +439,7 @@ class ContactScreening(StepRows):
         self._at_others = np.flatnonzero(is_other)
         self._others_push = bool(self.every.pushes[is_other].any())
         self._speed = GapSpeed(mechanism.robot, [bodies_of(part) for part, _ in own])
-        self._responded: tuple[bytes, bytes, ImpulseResponse] | None = None
+        self._last_response: tuple[Array, Array, ImpulseResponse] | None = None
         self._room = np.zeros(len(own))
         self._spare = 0.0
         self._q = mechanism.zero
@@ -502,13 +502,13 @@ class ContactScreening(StepRows):
         return RowsAt(self._acting(np.concatenate(at)), _rounded(J), *stacked)
 
     def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
-        """As of all rows; that of the last step where nothing has turned since."""
+        """Return the response of the joints; that of the last step where K and J are the same."""
         if len(J) <= _SCREENED_ROWS_OF_ONE or not held.is_free:
             return held.of(J)
-        key = K.tobytes(), J.tobytes()
-        if self._responded is None or key != self._responded[:2]:
-            self._responded = *key, held.of(J)
-        return copy(self._responded[2])
+        last = self._last_response
+        if last is None or not (np.array_equal(K, last[0]) and np.array_equal(J, last[1])):
+            self._last_response = last = K, J, held.of(J)
+        return copy(last[2])
 
     def gaps(self, x: State) -> Array | None:
         """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.

@@ -11,6 +11,7 @@ so that neither stiff loads nor stiff internal states limit a step.
 
 from __future__ import annotations
 
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -51,8 +52,7 @@ class ImplicitLoads:
         self._nv = chart.nv
         self.nv = chart.nv + internals.nz
         self.upper = np.concatenate((np.full(chart.nv, np.inf), internals.upper))
-        self._loads: Loads = mechanism.loads
-        self._of = Linearization(self, self._write)
+        self._linearization = Linearization(self)
         n = chart.nv
         self._none = Slopes(np.zeros((n, n)), np.zeros((n, 0)), np.eye(0), np.zeros((0, n)))
 
@@ -84,17 +84,20 @@ class ImplicitLoads:
             return self._none
         z = self._internals.inside(x.z)
         k.refresh(x.q, x.v, loads.reads)
-        self._loads = loads.beside(k, x._replace(z=z))
+        field = partial(self._write, loads.beside(k, x._replace(z=z)))
         q, v = np.concatenate((x.q, 0.0 * z)), np.concatenate((x.v, z))
-        self._of.update(x.t, q, v, u)
-        of = s * self._of.damping + s * s * self._of.stiffness
-        gain = np.asarray(np.linalg.inv(np.eye(len(z)) - of[n:, n:]), dtype=np.float64)
-        push = of[:n, n:].dot(gain)
-        whole = of[:n, :n] + push.dot(of[n:, :n])
-        return Slopes(-0.5 * (whole + whole.T), push, gain, gain.dot(of[n:, :n]))
+        stiffness, damping = self._linearization.slopes(field, x.t, q, v, u)
+        slopes = s * damping + s * s * stiffness
+        gain = np.asarray(np.linalg.inv(np.eye(len(z)) - slopes[n:, n:]), dtype=np.float64)
+        push = slopes[:n, n:].dot(gain)
+        by_motion = slopes[:n, :n] + push.dot(slopes[n:, :n])
+        added = -0.5 * (by_motion + by_motion.T)
+        return Slopes(added, push, gain, gain.dot(slopes[n:, :n]))
 
-    def _write(self, t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
-        n, loads, k = self._nv, self._loads, self._mechanism.k
+    def _write(
+        self, loads: Loads, t: float, q: Array, v: Array, u: Array | None, out: Array
+    ) -> None:
+        n, k = self._nv, self._mechanism.k
         x = State(t, q[: self._nq], v[:n], v[n:])
         k.refresh(x.q, x.v, max(loads.reads, self._internals.reads))
         out[:n] = loads.total(k, x, u)

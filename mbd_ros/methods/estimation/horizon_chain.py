@@ -271,7 +271,7 @@ class Whitening:
     """W with W R W' = 1 for what was measured; the last one is kept."""
 
     def __init__(self) -> None:
-        self._known: tuple[Array, bytes, Array] | None = None
+        self._known: tuple[Array, NDArray[np.bool_], Array] | None = None
 
     def of(self, R: Array, told: NDArray[np.bool_]) -> Array:
         """W, shape as many as told.
@@ -280,10 +280,10 @@ class Whitening:
             R: Covariance of the noise, shape (m, m).
             told: What was measured, shape (m,).
         """
-        known, key = self._known, told.tobytes()
-        if known is None or known[0] is not R or known[1] != key:
+        known = self._known
+        if known is None or known[0] is not R or not np.array_equal(known[1], told):
             factor = np.linalg.cholesky(R[np.ix_(told, told)])
-            self._known = known = R, key, np.linalg.inv(factor)
+            self._known = known = R, told.copy(), np.linalg.inv(factor)
         return known[2]
 
 

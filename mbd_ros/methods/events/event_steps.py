@@ -12,7 +12,7 @@ from mbd_ros.core.contact_modes.event_rows import EventRows
 from mbd_ros.core.contact_modes.row_distances import Distances, rounding
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.nonsmooth.impact_map import Impact, ImpactMap
-from mbd_ros.core.state import Array, Memory, Mode, State, is_same_input
+from mbd_ros.core.state import Array, Memory, Mode, State, have_same_bits
 from mbd_ros.errors import JammedError, SolveError
 from mbd_ros.methods.events.clearance import Clearance
 from mbd_ros.methods.events.mode_field import Margin, ModeField, decide_modes
@@ -124,7 +124,7 @@ class EventSteps(Stepper):
             SolveError: The solution is not unique or ends, or events accumulate.
             DivergedError: The inner method diverges.
         """
-        if self._clearance.room > 0.0 and x is self._last and is_same_input(u, self._u):
+        if self._clearance.room > 0.0 and x is self._last and have_same_bits(u, self._u):
             after = self._inner.step(x, u, end)
             if self._clearance.passes(x, after):
                 self._last = after
@@ -144,7 +144,7 @@ class EventSteps(Stepper):
     ) -> tuple[State, int]:
         """Advance by several steps at once while no stop is near."""
         clearance = self._clearance
-        if not (clearance.room > 0.0 and x is self._last and is_same_input(u, self._u)):
+        if not (clearance.room > 0.0 and x is self._last and have_same_bits(u, self._u)):
             return self.step(x, u, end), 1
         after, count = self._inner.stride(x, u, end, most, clearance.comes_near)
         if clearance.is_clear(after):
@@ -269,7 +269,7 @@ class EventSteps(Stepper):
         """Return the state with the mode of the next step, decided where anything has changed."""
         field, transitions = self.field, self._transitions
         is_new = self._last is None or x.t != self._last.t  # otherwise the last one, corrected
-        is_changed = not is_same_input(u, self._u)
+        is_changed = not have_same_bits(u, self._u)
         if is_changed:
             self._u = None if u is None else u.copy()
         if is_new:

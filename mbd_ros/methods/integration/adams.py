@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mbd_ros.core.state import NONE, Array, Memory, Mode, State
+from mbd_ros.core.state import NONE, Array, Memory, Mode, State, have_same_bits
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.dop853_tableau import DOP853
 from mbd_ros.methods.integration.runge_kutta import RK4, RungeKutta, Tableau
@@ -36,7 +36,7 @@ class AdamsSteps(Stepper):
     """
 
     can_stride = True
-    kept = ("_known", "_last", "_ready", "_held", "_start")
+    kept = ("_known", "_last", "_ready", "_u", "_start")
 
     def __init__(self, system: Any, order: int, dt: float) -> None:
         self._accelerate, self._needed = system.accelerator(), order - 1
@@ -50,16 +50,15 @@ class AdamsSteps(Stepper):
         self._last: State | None = None  # what the last step returned while the method starts
         self._ready: State | None = None  # the same, once there are enough accelerations
         self._head = np.zeros((2, int(system.nv)))  # [q; v] from which the next step starts
-        self._held: bytes | None = None
+        self._u: Array | None = None  # commands of the last step
         self._start: State | None = None  # where the last step began
         self._mode: Mode = ()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
         t, q, v, _, _ = x
-        held = None if u is None else u.tobytes()
-        if x is not self._ready or held != self._held or t + self._near > end:
-            return self._slow_step(x, u, end, held)
+        if x is not self._ready or t + self._near > end or not have_same_bits(u, self._u):
+            return self._slow_step(x, u, end)
         row, product, before, after, after_q, after_v = next(self._slots)
         self._accelerate(t, q, v, u, row)
         product(before, after)
@@ -79,8 +78,7 @@ class AdamsSteps(Stepper):
         """Advance by several full steps, without the states in between."""
         t, q, v, _, _ = x
         count = min(most, int((end - t) / self._dt - _LAST))
-        held = None if u is None else u.tobytes()
-        if x is not self._ready or held != self._held or count < 1:
+        if x is not self._ready or count < 1 or not have_same_bits(u, self._u):
             after_x = self.step(x, u, end)
             if watch is not None:
                 watch(after_x.v)
@@ -100,7 +98,7 @@ class AdamsSteps(Stepper):
 
     def restart(self) -> None:
         """Forget the accelerations of earlier steps."""
-        self._known, self._last, self._ready, self._held = 0, None, None, None
+        self._known, self._last, self._ready, self._u = 0, None, None, None
         self._starter.restart()
 
     def again(self, h: float, t: float) -> State:
@@ -109,7 +107,7 @@ class AdamsSteps(Stepper):
         self._known, self._last, self._ready = 0, None, None
         if starter.before is not start:
             starter.restart()
-            starter.start(start, None if self._held is None else np.frombuffer(self._held))
+            starter.start(start, self._u)
         return starter.again(h, t)
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
@@ -186,19 +184,19 @@ class AdamsSteps(Stepper):
         rows: Array = np.array([self._turns[last - age][0] for age in range(len(self._ages))])
         return rows
 
-    def _slow_step(self, x: State, u: Array | None, end: float, held: bytes | None) -> State:
+    def _slow_step(self, x: State, u: Array | None, end: float) -> State:
         """A step that starts the method, or that ends at `end`."""
         h, t = clip(x.t, self._dt, end)
         if h <= 0.0:
             return x
         # Commands count by value, since a controller may reuse its array.
-        is_new = held != self._held or (x is not self._ready and x is not self._last)
+        is_new = not have_same_bits(u, self._u) or (x is not self._ready and x is not self._last)
         if h == self._dt and not is_new and x is self._ready:
             self._ready = after = self.step(x, u)._replace(t=t)
             return after
         if is_new or h != self._dt:
             self.restart()
-            self._held = held
+            self._u = None if u is None else u.copy()
         self._start, after = x, self._starter.step(x, u, end)
         if h == self._dt:
             self._keep(after)

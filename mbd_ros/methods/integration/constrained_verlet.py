@@ -13,7 +13,7 @@ import numpy as np
 
 from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.rows.delassus import RowFactor
-from mbd_ros.core.state import Array, Memory, State, copied
+from mbd_ros.core.state import Array, Memory, State, copied, have_same_bits
 from mbd_ros.core.thresholds import ASSEMBLED, redundant
 from mbd_ros.errors import DivergedError
 from mbd_ros.methods.integration.newton import FAILED, converge
@@ -128,7 +128,7 @@ class ConstrainedVerlet:
         s, w, q = self._move(here, x.v + kick * here.respond(force), first, move)
         if share:
             now = applied(x.t, x.q, x.v + share * (w - x.v), u)
-            if now.tobytes() != force.tobytes():
+            if not have_same_bits(now, force):
                 s, w, q = self._settle(x, u, move, kick, share, (s, w, now))
         if not isfinite(w.dot(w)):
             raise DivergedError(f"{self._name}: velocities after t = {x.t:.9g} s are not finite")

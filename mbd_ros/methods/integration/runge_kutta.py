@@ -20,7 +20,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from mbd_ros.core.state import Array, Mode, State, is_same_input
+from mbd_ros.core.state import Array, Mode, State, have_same_bits
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.methods.integration.stepping import Stepper, clip
 
@@ -130,7 +130,7 @@ class RungeKutta(Stepper):
     def start(self, x: State, u: Array | None) -> None:
         """Begin a step at x: the first rates."""
         first, nv = self._K[0], self._nv
-        if self._known > self._stages and x is self._after and is_same_input(u, self._u):
+        if self._known > self._stages and x is self._after and have_same_bits(u, self._u):
             first[nv:] = self._K[self._stages, nv:]
         else:
             self._u = None if u is None else u.copy()  # a controller may reuse its array

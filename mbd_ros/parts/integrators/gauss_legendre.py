@@ -1,6 +1,7 @@
 """Gauss-Legendre collocation: implicit midpoint and its relatives of order 4 and 6."""
 
 import math
+from functools import partial
 from typing import Any, ClassVar
 
 import numpy as np
@@ -120,7 +121,7 @@ class _Steps(Stepper):
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
         """Go on with other accelerations, as in another mode."""
         self._accelerate, self._mode = accelerate, mode
-        self._differentiate = Linearization(self._system, accelerate).derivatives
+        self._differentiate = partial(Linearization(self._system).derivatives, accelerate)
         self.restart()
 
     def interpolate(self, t: float) -> State:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.dynamics.linearization import balance_of
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, State, have_same_bits
 from mbd_ros.core.thresholds import redundant
 from mbd_ros.errors import DivergedError, ModelError
 from mbd_ros.methods.integration.newton import FAILED, SLOW, converge, refuse_bounded_rows
@@ -89,17 +89,16 @@ class _Steps(Stepper):
     def restart(self) -> None:
         """Forget accelerations and derivatives."""
         self._h, self._is_slow = 0.0, True
-        self._held: bytes | None = None
+        self._u: Array | None = None
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
         h, t = clip(x.t, self._dt, end)
-        held = None if u is None else u.tobytes()
         if h != self._h:
             self._start(x, u, h)
-        elif held != self._held:  # the accelerations jump with the commands
+        elif not have_same_bits(u, self._u):  # the accelerations jump with the commands
             self._vdot0 = self._a0 = self._acceleration(x, u)
-        self._held = held
+        self._u = None if u is None else u.copy()
         self._begin(x, h)
         rate = FAILED if self._is_slow else self._solve(x, u, t)
         if rate == FAILED:

@@ -3,7 +3,7 @@
 import math
 from typing import Any
 
-from mbd_ros.core.state import Array, Memory, State
+from mbd_ros.core.state import Array, Memory, State, have_same_bits
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.methods.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
@@ -88,9 +88,8 @@ class _Steps(Stepper):
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
         move = PositionStep(*clip(x.t, self._dt, end))
-        last, commands_then, force = self._last
-        commands = None if u is None else u.tobytes()
-        if x is not last or commands != commands_then:
+        last, last_u, force = self._last
+        if x is not last or not have_same_bits(u, last_u):
             force = self._system.applied(x.t, x.q, x.v, u)
         half = 0.5 * move.h
         w, q = self._verlet.advance(x, u, move, half, 1.0, force)
@@ -98,5 +97,5 @@ class _Steps(Stepper):
         force = self._system.applied(move.t, q, w, u)
         v = w + half * there.respond(force)
         y = State(move.t, q, there.project(v) if self._has_rows else v)
-        self._last = (y, commands, force)
+        self._last = (y, None if u is None else u.copy(), force)
         return y

@@ -123,7 +123,7 @@ class ImplicitDampingStepper(SemiImplicitEulerStepper):
 
     def __init__(self, system: Any, dt: float) -> None:
         super().__init__(system, dt)
-        self._slopes = Linearization(system, self._accelerate)
+        self._linearization = Linearization(system)
         self._unit = np.eye(system.nv)
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
@@ -135,7 +135,7 @@ class ImplicitDampingStepper(SemiImplicitEulerStepper):
         h, t = clip(x.t, self._dt, end)
         if h <= 0.0:
             return x
-        a, slope = self._slopes.by_velocity(x.t, x.q, x.v, u)
+        a, slope = self._linearization.by_velocity(self._accelerate, x.t, x.q, x.v, u)
         if not np.isfinite(slope).all():
             raise DivergedError(f"accelerations at t = {x.t:.9g} s are not finite")
         try:

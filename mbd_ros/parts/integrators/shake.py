@@ -3,7 +3,7 @@
 import math
 from typing import Any, Literal
 
-from mbd_ros.core.state import Array, Memory, State
+from mbd_ros.core.state import Array, Memory, State, have_same_bits
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.integration.constrained_verlet import ConstrainedVerlet, PositionStep
 from mbd_ros.methods.integration.newton import refuse_bounded_rows, refuse_rows_of_velocities
@@ -97,14 +97,13 @@ class _Steps(Stepper):
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""
         h, t = clip(x.t, self._dt, end)
-        y, commands_then, h_then, w, q = self._ahead
-        commands = None if u is None else u.tobytes()
-        if x is not y or commands != commands_then or h != h_then:
+        y, last_u, h_then, w, q = self._ahead
+        if x is not y or not have_same_bits(u, last_u) or h != h_then:
             force = self._system.applied(x.t, x.q, x.v, u)
             w, q = self._verlet.advance(x, u, PositionStep(h, t), 0.5 * h, 0.0, force)
         middle = State(t, q, w)
         force = self._system.applied(t, q, w, u)
         w_next, q_next = self._verlet.advance(middle, u, PositionStep(h, t + h), h, 0.5, force)
         y = State(t, q, 0.5 * (w + w_next))
-        self._ahead = (y, commands, h, w_next, q_next)
+        self._ahead = (y, None if u is None else u.copy(), h, w_next, q_next)
         return y
