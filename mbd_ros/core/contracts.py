@@ -14,7 +14,7 @@ import math
 import re
 from collections.abc import Callable, Sequence
 from enum import Enum, IntEnum
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -38,8 +38,16 @@ class Part:
         outputs: What it shows besides the multipliers of its rows.
         u: Its inputs in the u of the scene; all of u until it is bound.
         z: Its internal states in the z of a state; all of z until it is bound.
+        is_constraint: Whether it has rows, as every `Constraint`.
+        is_actuator: Whether it takes commands, as every `Actuator`.
+        path: Path along which it acts or which it measures; None without one.
+        pair: Pair of bodies that it keeps apart, as a contact does; None without one.
     """
 
+    is_constraint: ClassVar[bool] = False
+    is_actuator: ClassVar[bool] = False
+    path: Any = None
+    pair: Any = None
     name: str = ""
     reads: Reads = Reads.NOTHING
     inputs: tuple[Channel, ...] = ()
@@ -172,8 +180,14 @@ class Load(Part):
         brings: Entries of the `<dynamics>` of its `joint` that it covers: friction, damping.
         gives_work: Whether its work counts as that of an actuator, as of every `Actuator`.
         has_inertia: Whether it adds `inertia`, which takes a solve with the whole mass matrix.
+        is_compliant_contact: Whether it is a contact with `slopes` of its force.
+        has_metabolic_rate: Whether it is a muscle with a `metabolic_rate`.
+        description: Description of the learned model that gives the force; None for others.
     """
 
+    is_compliant_contact: ClassVar[bool] = False
+    has_metabolic_rate: ClassVar[bool] = False
+    description: Any = None
     gives_work: bool = False
     has_inertia: bool = False
     brings: tuple[str, ...] = ()
@@ -240,6 +254,7 @@ class Actuator(Load):
         takes: Meaning and unit of a command; empty where it is the torque of the joint.
     """
 
+    is_actuator = True
     gives_work = True
     joints: tuple[str, ...]
     takes: str = ""
@@ -291,7 +306,12 @@ class Sensor(Part):
         is_linear: Whether it is a constant linear function of q and v: `jacobian` and
             `by_position` never change.
         noise_varies: Whether `covariance` depends on the state.
+        point: Point that it is fixed to; None without one.
+        weight: Weight of a marker in fits; 0 for sensors that are no markers.
     """
+
+    point: Point | None = None
+    weight: float = 0.0
 
     level: Measures = Measures.POSITION
     unit: str = ""

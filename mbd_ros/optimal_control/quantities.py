@@ -218,7 +218,7 @@ class PartQuantities:
     def markers(self) -> Iterator[tuple[str, float]]:
         """Coordinates of markers, and the weights of these."""
         for name, (sensor, _) in self._sensors.items():
-            if hasattr(sensor, "weight") and sensor.weight > 0.0:
+            if sensor.weight > 0.0:
                 yield name, float(sensor.weight)
 
     def metabolic_rates(self, numbers: Metabolism) -> dict[str, Any]:
@@ -229,7 +229,7 @@ class PartQuantities:
         """
         e, found = self._e, dict[str, Any]()
         for part in e.system.loads.actuators:
-            if hasattr(part, "metabolic_rate"):
+            if part.has_metabolic_rate:
                 with tracing(part):
                     found[part.name] = e.own(part).metabolic_rate(e.k, e.x, e.u, numbers)
         return found

@@ -123,7 +123,7 @@ class Scene:
     @property
     def forces(self) -> tuple[Load, ...]:
         """Loads that nobody commands, of all sections."""
-        return tuple(part for part in self._offering("force") if not hasattr(part, "command"))
+        return tuple(part for part in self._offering("force") if not part.is_actuator)
 
     @property
     def forces_without_input(self) -> tuple[Load, ...]:
@@ -467,7 +467,7 @@ def bind_inputs(
     built = [(s, parts[s.key]) for s in sections if s.key in parts]
     every = [part for section, section_parts in built for part in parts_in(section, section_parts)]
     takers = [p for p in every if getattr(p, "inputs", ()) or getattr(p, "internal", ())]
-    takers.sort(key=lambda part: not hasattr(part, "command"))  # stable
+    takers.sort(key=lambda part: not part.is_actuator)  # stable
     after, inputs = bound(takers)
     swapped = {id(a): b for a, b in zip(takers, after, strict=True) if a is not b}
     if not swapped:

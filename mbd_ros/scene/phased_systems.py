@@ -226,7 +226,7 @@ class _Systems:
         if guard.reset.impact is not None:
             return set(guard.reset.impact)
         name = guard.entry.touch_down
-        is_rigid = name is not None and hasattr(self.contacts[name], "residual")
+        is_rigid = name is not None and self.contacts[name].is_constraint
         return {name} if is_relabelled and is_rigid and name is not None else set()
 
     def holds(self, plan: PhasePlan, contacts: Iterable[str]) -> set[str]:

@@ -82,7 +82,7 @@ def build_scene(
     parts, robot = build(origin, entries, sections, prebuilt)
     assert robot is not None
     scene = Scene(origin, robot, parts, entries, sections, code)
-    if any(hasattr(part, "description") for part in parts.get("forces", ())):
+    if any(part.description is not None for part in parts.get("forces", ())):
         from mbd_ros.scene.reading.learned_entries import check_models
 
         check_models(scene)

@@ -43,13 +43,13 @@ class Frames:
         self.rows = tuple(row.name for row in system.layout.rows)
         self.arrow_names = tuple(arrow.name for arrow in self.showing.arrows)
         every = (*scene.constraints, *scene.muscles, *loads.forces)
-        unique = {id(part): part for part in every if hasattr(part, "path")}
+        unique = {id(part): part for part in every if part.path is not None}
         self._paths = list(unique.values())
         named = {number.name: i for i, number in enumerate(self.showing.numbers)}
         self._tensions = [_tension(part, named) for part in self._paths]
-        self._closures = [p for p in scene.constraints if not hasattr(p, "path")]
+        self._closures = [p for p in scene.constraints if p.path is None]
         self._sizes = [_row_count(p, system.layout) for p in self._closures]
-        self._points = [s.point for s in scene.sensors if hasattr(s, "point")]
+        self._points = [s.point for s in scene.sensors if s.point is not None]
         self._coupled = _coupled(scene)
         self._rows = ConstraintRows(system.layout.blocks, robot.model.nv)
         forces = (*loads.actuators, *loads.forces)

@@ -42,6 +42,8 @@ class Muscle(PathLoad, Actuator):
     joints = ()
     takes = "excitation of the muscle [-]"
 
+    has_metabolic_rate = True
+
     def __init__(
         self, path: Path, contraction: Contraction, dynamics: ActivationDynamics, tendon: str
     ) -> None:

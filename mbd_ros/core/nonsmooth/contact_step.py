@@ -531,7 +531,7 @@ class ContactScreening(StepRows):
         for i in looked_at:
             part, at = self._contacts[i]
             gaps[at] = part.residual(self._k, x)
-            pair = getattr(part, "pair", None)
+            pair = part.pair
             own = gaps[at[::3]]
             self._room[i] = own.min() if pair is None else pair.room(self._k, own)
         if looked_at:

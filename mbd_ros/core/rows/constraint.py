@@ -150,6 +150,7 @@ class Constraint(Part):
         slips: Whether its multipliers push along `pushes` in some mode, rather than along J'.
     """
 
+    is_constraint = True
     rows: tuple[Row, ...]
     level: Level = Level.POSITION
     law: Law = bilateral()

@@ -195,10 +195,6 @@ def _block(part: Constraint, rows: tuple[Row, ...], slots: slice) -> RowBlock:
     where = f"constraint {type(part).__name__}"
     if rows:
         where = f"{where} with row {rows[0].name}"
-    if hasattr(part, "bounds"):
-        raise ModelError(
-            f"{where} has bounds: say law = box(lower, upper) of core/rows/constraint.py"
-        )
     law, m = part.law, len(rows)
     try:
         lower = np.broadcast_to(-np.inf if callable(law.lower) else law.lower, m)

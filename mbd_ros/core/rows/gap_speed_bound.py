@@ -96,7 +96,7 @@ class GapSpeed:
 
 def bodies_of(part: Constraint) -> tuple[Pair, float] | None:
     """What may touch in a contact, as `GapSpeed` takes it; None where only the part knows."""
-    pair = getattr(part, "pair", None)
+    pair = part.pair
     if isinstance(pair, ContactPair) and pair.bodies[1] < math.inf:
         return pair.bodies
     return None

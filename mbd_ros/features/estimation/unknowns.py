@@ -19,7 +19,7 @@ from mbd_ros.core.contracts import Internal, Load, Measures, Now, Sensor, Slots,
 from mbd_ros.core.kinematics.kinematics import Kinematics
 from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Within, described
-from mbd_ros.core.state import Array, State
+from mbd_ros.core.state import Array, State, have_same_bits
 from mbd_ros.errors import ModelError
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.building import Site
@@ -207,23 +207,22 @@ class UncertainLoad(Load):
         self.name, self.reads, self.inputs = load.name, load.reads, load.inputs
         self._own, self._make = len(load.internal), make
         self.internal = (*load.internal, *internal)
-        self._kept = dict[bytes, Load]()
+        self._loads = dict[tuple[float, ...], Load]()
 
     def bind(self, slots: Slots) -> None:
         """Take places in inputs and internal states; the load has the first of these."""
         super().bind(slots)
-        self._kept = {}
+        self._loads = {}
 
     def _made(self, x: State) -> Load:
-        numbers = x.z[self.z][self._own :]
-        key = numbers.tobytes()
-        load = self._kept.get(key)
+        numbers = tuple(x.z[self.z][self._own :].tolist())
+        load = self._loads.get(numbers)
         if load is None:
-            load = self._make(numbers.tolist())
+            load = self._make(numbers)
             load.bind(Slots(self.u, slice(self.z.start, self.z.start + self._own)))
-            if len(self._kept) >= _CACHED_LOADS:
-                self._kept.pop(next(iter(self._kept)))
-            self._kept[key] = load
+            if len(self._loads) >= _CACHED_LOADS:
+                self._loads.pop(next(iter(self._loads)))
+            self._loads[numbers] = load
         return load
 
     def force(self, k: Kinematics, x: State, u: Array) -> Array:
@@ -343,13 +342,13 @@ class UnknownInertias:
         self._model, self._data, self.masses = model, pin.Data(model), tuple(masses)
         joints = {mass.joint for mass in masses}
         self._known = {j: np.array(model.inertias[j].toDynamicParameters()) for j in joints}
-        self._written = b""
+        self._written: Array | None = None  # internal states whose inertias the model has
 
     def write(self, z: Array) -> None:
         """Give the model the inertias of internal states."""
-        if not self.masses or self._written == z.tobytes():
+        if not self.masses or have_same_bits(self._written, z):
             return
-        self._written = z.tobytes()
+        self._written = z.copy()
         self._set([float(z[mass.part.z][0]) for mass in self.masses])
 
     def efforts(self, x: State, a: Array) -> Array:

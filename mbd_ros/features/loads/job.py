@@ -353,7 +353,7 @@ def commanded_paths(scene: Scene) -> dict[str, Path]:
     """Paths of muscles and of other parts whose tension a motion does not show."""
     known = {id(part) for part in scene.forces_without_input}
     every = (*scene.commanded, *scene.forces)
-    return {p.name: p.path for p in every if hasattr(p, "path") and id(p) not in known}
+    return {p.name: p.path for p in every if p.path is not None and id(p) not in known}
 
 
 def tensions_at(

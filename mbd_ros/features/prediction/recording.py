@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from mbd_ros.core.kinematics.poses import configuration_of
-from mbd_ros.core.state import NANOSECOND, Array, Motion
+from mbd_ros.core.state import NANOSECOND, Array, Motion, have_same_bits
 from mbd_ros.errors import DataError, SceneError
 from mbd_ros.features.prediction.modes import DrivenScene, driving_wrenches
 from mbd_ros.features.prediction.task import PredictTask, RecordingTask
@@ -234,18 +234,17 @@ def prescribed_inputs(
     free = set(driving_wrenches(driven_scene.scene, bounded)) if recording is None else set[str]()
     known = [i for i, index in enumerate(indices) if inputs.names[index] not in free]
     places = np.array(indices, dtype=np.intp)[known]
-    last: list[tuple[bytes, Array]] = []
+    last: list[tuple[Array, Array]] = []  # shares, and the values there
 
     def at(shares: Array) -> Array:
-        key = shares.tobytes()
-        if not last or last[0][0] != key:
+        if not last or not have_same_bits(last[0][0], shares):
             zero = np.zeros((len(shares), 6))
             wrenches = dict.fromkeys(names, zero)
             if recording is not None and loaded:
                 loads = recording.loads(begin + duration * shares)
                 wrenches |= dict(zip(loaded, loads, strict=True))
             columns = np.hstack([wrenches[name] for name in names] or [zero[:, :0]])
-            last[:] = [(key, columns[:, known])]
+            last[:] = [(shares.copy(), columns[:, known])]
         return last[0][1]
 
     return GivenInputs(places, at)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mbd_ros.core.complementarity.contact_problem import Residuals
+from mbd_ros.core.contracts import Load
 from mbd_ros.core.dynamics.system import phase_names
 from mbd_ros.core.dynamics.tiers import tier_of
 from mbd_ros.core.ranges import SHORTEST_DT
@@ -209,7 +210,8 @@ class _CtrlC(MbdError):
 
 def _say_windows(scene: Scene, simulation: Simulation, states: Sequence[State], say: Say) -> None:
     """Say what is to be said of contacts that give way, also where the motion diverged."""
-    parts = [part for part in scene.parts.get("contacts", ()) if hasattr(part, "slopes")]
+    contacts = scene.parts.get("contacts", ())
+    parts = [part for part in contacts if isinstance(part, Load) and part.is_compliant_contact]
     if parts and states:
         for text in window_words(simulation, parts, states):
             say(text)

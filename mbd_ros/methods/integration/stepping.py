@@ -8,6 +8,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from mbd_ros.core.state import Array, Memory, Mode, State, copied, recognised
 from mbd_ros.core.thresholds import SAME_TIME
+from mbd_ros.errors import ModelError
 
 NEAR = 1.0 + 1.0e-6  # in dt: no step needs `clip` that starts farther than this from the end
 
@@ -73,8 +74,16 @@ class Integrator:
         return math.inf
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s]."""
+        """Return a stepper for one system and one step size [s]."""
         raise NotImplementedError
+
+    def prepare_particles(self, system: Any, dt: float) -> Any:
+        """Return the stepper for a system of particles and one step size [s].
+
+        Raises:
+            ModelError: The method has no steps for particles.
+        """
+        raise ModelError(f"{self.title} has no steps for particles; accepted: rattle, shake")
 
 
 class Stepper:

@@ -37,7 +37,6 @@ class ParticleSystem:
 
     Attributes:
         slices: Where each kind stands in q and v.
-        clusters: Whether there are rows; methods of constrained Verlet steps look for it.
         masses: Of each point, shape (n,).
     """
 
@@ -65,7 +64,6 @@ class ParticleSystem:
         self.nq = self.nv = 3 * len(self.masses)
         self.chart = Chart(SimpleNamespace(nq=self.nq, nv=self.nv, joints=()))
         self.internals, self.loads, self.layout = Internals(()), Loads(self.nv), RowLayout()
-        self.clusters = any(kind.clusters for kind in kinds)
         rows = ParticleRows(self.kinds, self.slices)
         self.split, self.row_count = rows.split, rows.count
         self.residual, self.jacobian, self.rate = rows.residual, rows.jacobian, rows.rate

@@ -66,7 +66,7 @@ def without_overlap(system: System, y: State) -> State:
     )  # only where there are contacts
 
     blocks = system.layout.having(Kind.CONE)
-    parts = [(block, block.part) for block in blocks if hasattr(block.part, "pair")]
+    parts = [(block, block.part) for block in blocks if block.part.pair is not None]
     k, x = Kinematics(system.robot), system.expand(y)
     k.refresh(x.q, x.v, Reads.POSITION)
     lifted, sizes = False, list[float]()
@@ -128,7 +128,7 @@ def _gaps(block: RowBlock) -> NDArray[np.bool_]:
 
 
 def _told(block: RowBlock, gaps: Array) -> str:
-    pair = block.part.pair  # type: ignore[attr-defined]
+    pair = block.part.pair
     names = [pair.features[i] for i in np.argsort(gaps) if gaps[i] < 0.0]
     a, b = pair.between
     more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""

@@ -78,6 +78,7 @@ class Compliant(Load):
         "friction": 0.8,
         "creep": 0.01,
     }
+    is_compliant_contact = True
     reads = Reads.JACOBIAN
 
     def __init__(

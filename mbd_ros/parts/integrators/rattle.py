@@ -48,13 +48,15 @@ class Rattle(Integrator):
         Raises:
             ModelError: The system has one-sided rows, or rows of velocities.
         """
-        if hasattr(system, "clusters"):
-            from mbd_ros.methods.particles.verlet_steps import ParticleVerlet
-
-            return ParticleVerlet(system, self.tolerance, dt)
         refuse_bounded_rows(system, "rattle")
         refuse_rows_of_velocities(system, "rattle")
         return _Steps(system, self.tolerance, dt)
+
+    def prepare_particles(self, system: Any, dt: float) -> Any:
+        """Return the stepper for a system of particles and one step size [s]."""
+        from mbd_ros.methods.particles.verlet_steps import ParticleVerlet
+
+        return ParticleVerlet(system, self.tolerance, dt)
 
 
 class _Steps(Stepper):

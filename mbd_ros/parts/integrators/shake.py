@@ -56,12 +56,6 @@ class Shake(Integrator):
         Raises:
             ModelError: The system has one-sided rows, or rows of velocities.
         """
-        if hasattr(system, "clusters"):
-            from mbd_ros.methods.particles.verlet_steps import ParticleShake, ParticleVerlet
-
-            if self.velocity == "unprojected":
-                return ParticleVerlet(system, self.tolerance, dt, projects=False)
-            return ParticleShake(system, self.tolerance, dt)
         if self.velocity != "central":
             raise ModelError(
                 f"shake: velocity {self.velocity} is for particles; accepted: central"
@@ -69,6 +63,14 @@ class Shake(Integrator):
         refuse_bounded_rows(system, "shake")
         refuse_rows_of_velocities(system, "shake")
         return _Steps(system, self.tolerance, dt)
+
+    def prepare_particles(self, system: Any, dt: float) -> Any:
+        """Return the stepper for a system of particles and one step size [s]."""
+        from mbd_ros.methods.particles.verlet_steps import ParticleShake, ParticleVerlet
+
+        if self.velocity == "unprojected":
+            return ParticleVerlet(system, self.tolerance, dt, projects=False)
+        return ParticleShake(system, self.tolerance, dt)
 
 
 class _Steps(Stepper):

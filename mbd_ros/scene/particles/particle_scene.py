@@ -110,7 +110,7 @@ class ParticleScene:
         """
         method = self.method if integrator is None else _method(integrator, self.name)
         try:
-            stepper: Any = method.prepare(self.system(), self.dt if dt is None else dt)
+            stepper: Any = method.prepare_particles(self.system(), self.dt if dt is None else dt)
         except ModelError as error:
             raise SceneError(f"{self.name}: integrator: {error}") from error
         steps: ParticleVerlet = stepper

@@ -52,7 +52,7 @@ class _Names:
     def __init__(self, site: Site, phases: Sequence[str]) -> None:
         self.site, self.phases = site, phases
         self.contacts = [part.name for part in site.parts.get("contacts", ())]
-        self.rigid = [p.name for p in site.parts.get("contacts", ()) if hasattr(p, "residual")]
+        self.rigid = [p.name for p in site.parts.get("contacts", ()) if p.is_constraint]
         self.stateful = [p.name for p in site.parts.get("contacts", ()) if p.internal]
         self.constraints = [part.name for part in site.parts.get("constraints", ())]
         self.dependent = list(site.parts["couplings"].dependent)

@@ -94,7 +94,7 @@ def integrator_of(scene: Scene) -> Integrator:
 
 def default_integrator(scene: Scene) -> Mapping[str, Any]:
     """Entry of the integrator where the file names none."""
-    pairs = (part.pair for part in scene.constraints if hasattr(part, "pair"))
+    pairs = (part.pair for part in scene.constraints if part.pair is not None)
     if not all(pair.is_smooth for pair in pairs):
         return _TIME_STEPPING
     return _ADAPTIVE if any(part.is_elastic for part in scene.muscles) else DEFAULT_INTEGRATOR

@@ -244,10 +244,3 @@ def test_nobody_outside_the_rows_asks_for_bounds():
     assert found == []
     asked = "part.bounds\ngetattr(part, 'bounds')\nlaw.lower\nlaw.kind\nrows.lower"
     assert sorted(doors(asked)) == [1, 2, 3]
-
-
-def test_bounds_of_earlier_versions_are_refused_with_the_new_word():
-    part = Held(bilateral())
-    part.bounds = np.zeros(1), np.ones(1)
-    with pytest.raises(ModelError, match=r"held_0 has bounds: say law = box\(lower, upper\)"):
-        built(part)
