@@ -249,7 +249,10 @@ CONTRADICTORY = {
     "a joint that does not travel": ({"periodic": True, "travel": ["slid"]}, "no joint 'slid'"),
     "a function without a value": ({"goals": [lambda q: None]}, "function gives None"),
     "a mass as an unknown": ({"parameters": {"cart.mass": [0.5, 2.0]}}, "(continuation)"),
-    "durations beside one of all": ({"phases": [{"duration": 1.0}]}, "predict.duration: phases"),
+    "durations beside one of all": (
+        {"phases": [{"duration": 1.0}]},
+        "predict.duration: give the duration",
+    ),
 }
 
 

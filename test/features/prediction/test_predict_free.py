@@ -36,7 +36,9 @@ def test_external_wrenches_with_bounds_drive_a_free_body():
     assert result.metadata["cost"] == pytest.approx(12.0 * TURN**2 / 8.0, rel=1.0e-10)
     assert result.metadata["residuals"] == {}
     wrong = {**turned(TURN), "base.orientation.w": 1.0}
-    with pytest.raises(SceneError, match="base.orientation: a quaternion .* of size 1.22"):
+    with pytest.raises(
+        SceneError, match="base.orientation: a quaternion .* must have norm 1, not 1.22"
+    ):
         scene.predict(task | {"bounds": {"base_residual.M?": [None, None]}, "end": wrong})
 
 

@@ -148,12 +148,12 @@ def test_period_doublings_of_the_simplest_walker():
     first = periodic_motion(family(0.0145), at.end)
     branch = along.branch(first, 0.0145, 1)
     assert branch.ended == "end of the range"
-    assert [mark.mark for mark in branch.marks] == [DOUBLING]
-    doubling = branch.marks[0]
+    assert [mark.mark for mark in branch.bifurcations] == [DOUBLING]
+    doubling = branch.bifurcations[0]
     assert doubling.parameter == pytest.approx(0.015088437941, abs=1e-8)
     assert doubling.motion.state.q[0] == pytest.approx(0.237165863592, abs=1e-8)
     assert doubling.motion.passage.period == pytest.approx(3.912409, abs=1e-6)
-    doubled = along.doubled(doubling, 1)
+    doubled = along.follow_doubling(doubling, 1)
     assert doubled.cycles == 2
-    assert [mark.mark for mark in doubled.marks] == [DOUBLING]
-    assert doubled.marks[0].parameter == pytest.approx(0.0176694, abs=1e-7)
+    assert [mark.mark for mark in doubled.bifurcations] == [DOUBLING]
+    assert doubled.bifurcations[0].parameter == pytest.approx(0.0176694, abs=1e-7)
