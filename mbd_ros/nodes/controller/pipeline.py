@@ -390,6 +390,6 @@ def _watched(watch: LoopWatch) -> dict[str, str]:
     return {
         "loop delay": "not measured" if delay is None else f"{delay:.6g} s",
         "tolerable loop delay": f"{watch.tolerable:.6g} s" if is_known else "not known",
-        "error bounds": _listed(watch.promised) if is_known else "not known",
+        "error bounds": _listed(watch.error_bound) if is_known else "not known",
         "times the loop was lost": str(watch.faults),
     }
