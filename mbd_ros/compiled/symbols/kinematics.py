@@ -294,16 +294,16 @@ class SymbolicPairMotion:
 
     def motion(self, placed: Any) -> tuple[Any, Any, Any]:
         """Acceleration of the offset, angular velocity and its derivative, shape (3,) each."""
-        _, a, omega, alpha = self.moving(placed)
+        _, a, omega, alpha = self.velocity_and_motion(placed)
         return a, omega, alpha
 
-    def moving(self, placed: Any) -> tuple[Any, Any, Any, Any]:
+    def velocity_and_motion(self, placed: Any) -> tuple[Any, Any, Any, Any]:
         """The velocity of the origin of b, then what `motion` gives, shape (3,) each."""
         seen = (objects(turns.through(self._to_a, part)) for part in self._relative())
         v, a, omega, alpha = seen
         return v, a, omega, alpha
 
-    def along(
+    def directional_derivative(
         self, function: OfPose, pose: Pose, rates: Pose
     ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
         """Values of a function of a pose, and their rates by its derivatives."""

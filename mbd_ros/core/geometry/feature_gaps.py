@@ -77,10 +77,12 @@ class Meeting:
     def accelerations(self, seen: PairMotion) -> tuple[Array, Array]:
         """Both `jacobian` and `drift`, for the contact points and frames of one."""
         placed = seen.placed()
-        v, a, omega, alpha = seen.moving(placed or seen.place())
+        v, a, omega, alpha = seen.velocity_and_motion(placed or seen.place())
         pose = seen.pose()
         rates = Pose(cross(omega, pose.rotation.T).T, v)
-        (_, lever, axes), (_, lever_rate, turning) = seen.along(self.touch, pose, rates)
+        (_, lever, axes), (_, lever_rate, turning) = seen.directional_derivative(
+            self.touch, pose, rates
+        )
         axes_rate = _unspun(axes, turning)
         slip = v + cross(omega, lever)
         a = a + cross(alpha, lever) + cross(omega, lever_rate)
