@@ -282,7 +282,7 @@ class PartQuantities:
         """Parts that show something, and the multipliers of their rows."""
         e, lam = self._e, numbers(self._e.symbols["l"])
         every, first = dict[Part, Any](), 0
-        for block in e.system.held.constraints.blocks:
+        for block in e.system.bilateral.constraints.blocks:
             every[block.part] = lam[first : first + len(block.rows)]
             first += len(block.rows)
         none = np.zeros(0)
@@ -326,7 +326,7 @@ def input_labels(system: Any) -> list[str]:
 
 def multiplier_names(e: Any) -> list[str]:
     """Names of the rows that act."""
-    rigid = e.system.held.constraints.blocks
+    rigid = e.system.bilateral.constraints.blocks
     found = [row.name for block in rigid for row in block.rows]
     every = [row.name for row in e.system.multiplier_rows]
     return found + [every[slot] for slot in e.unilateral.slots[: len(e.acting.J) - len(found)]]

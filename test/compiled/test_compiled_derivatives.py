@@ -127,7 +127,7 @@ def test_slopes_of_the_balance_are_exact(name):
     system = CompiledSystem(plain, traced, load(emit([traced.function(one) for one in names])))
     own, balance = system.balance(system), Balance(plain)
     for y, u in states(plain, 2):
-        a, lam = rng.normal(size=plain.nv), rng.normal(size=len(plain.held.rows))
+        a, lam = rng.normal(size=plain.nv), rng.normal(size=len(plain.bilateral.rows))
         force = own.force(y.t, y.q, y.v, u, a, lam)
         assert apart(force, balance.force(y.t, y.q, y.v, u, a, lam)) <= 1e-12
 

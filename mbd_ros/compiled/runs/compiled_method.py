@@ -102,7 +102,7 @@ class CompiledMethod(NativeMethod):
             raise Untraceable(f"steps stop at events of {', '.join((*rows, *guards))}")
         stabilization = type(self._stabilization)
         corrects = stabilization.correct is not Stabilization.correct
-        if system.held.rows and corrects and not self._stabilization.projects:
+        if system.bilateral.rows and corrects and not self._stabilization.projects:
             raise Untraceable(f"stabilization {type_name(stabilization)} has no compiled form")
         for at, source in system.loads.sources.smooth:
             if source.pieces() is None:
@@ -166,7 +166,7 @@ class CompiledMethod(NativeMethod):
         )
 
     def _is_projected(self, system: Any) -> bool:
-        is_held = bool(system.held.rows) and not self.method.keeps_constraints
+        is_held = bool(system.bilateral.rows) and not self.method.keeps_constraints
         return is_held and self._stabilization.projects
 
     def _corrects(self, system: Any) -> Any:

@@ -178,15 +178,15 @@ class EventStepper(EventSteps, BlockStepper):
         """State at a time inside the last step, corrected."""
         return self._native.correct(super().interpolate(t))
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """Beside that of `EventSteps` whether the last step is to be searched."""
         last = copied(self.state)
-        return {**super().memory(), "last": last, "is_behind": self._is_behind}
+        return {**super().checkpoint(), "last": last, "is_behind": self._is_behind}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """Go on as after the step at which a memory was taken, with the same bits."""
-        super().recall(memory, x)
-        self._is_behind, self._is_new = memory["is_behind"], False
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken, with the same bits."""
+        super().restore(checkpoint, x)
+        self._is_behind, self._is_new = checkpoint["is_behind"], False
 
     def _is_ready(self, x: State, u: Array | None) -> bool:
         """Whether native code goes on from the state after the last step."""

@@ -121,7 +121,7 @@ def verify_slopes(system: CompiledSystem, names: Sequence[str]) -> None:
             _compare(system, lambda x: plain_rates(plain, x, u), y, along, (by_q, by_v))
         if "balance" in names:
             whole = Extended(plain) if len(y.z) else plain
-            a, lam = rng.normal(size=whole.nv), rng.normal(size=len(plain.held.rows))
+            a, lam = rng.normal(size=whole.nv), rng.normal(size=len(plain.bilateral.rows))
             forces, given = Balance(whole), (u, a, lam)
 
             def force(x: State) -> Array:

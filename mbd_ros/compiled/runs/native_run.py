@@ -148,13 +148,13 @@ class RunMemory:
         v, z = np.split(self._numbers[self._at[Field.W0] :][: nv + nz].copy(), [nv])
         return self._turned_back(float(self._numbers[self._at[Field.T0]]), q, v, z)
 
-    def memory(self) -> Array:
+    def checkpoint(self) -> Array:
         """All that later steps and samples depend on, fresh."""
         return self._numbers[: self._at[Field.MEMORY]].copy()
 
-    def recall(self, memory: Array) -> None:
-        """Go on as after the step at which a memory was taken."""
-        self._numbers[: len(memory)] = memory
+    def restore(self, checkpoint: Array) -> None:
+        """Go on as after the step at which a checkpoint was taken."""
+        self._numbers[: len(checkpoint)] = checkpoint
 
     def _turned_back(self, t: float, q: Array, v: Array, z: Array) -> State:
         """A state of the system from numbers of the run, which it keeps."""

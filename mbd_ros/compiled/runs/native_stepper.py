@@ -142,23 +142,23 @@ class NativeStepper(BlockStepper):
         self._plain.restart()
         self._last, self._has_plain = None, False
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """The memory of the native run, beside that of plain steps."""
-        kept = {"run": self._run.memory(), "last": copied(self.state)}
+        kept = {"run": self._run.checkpoint(), "last": copied(self.state)}
         rest = {"is_plain": self._is_plain, "handed_over": self.handed_over}
         rest["takes_blocks"] = self.takes_blocks
-        return {**kept, **rest, "plain": self._plain.memory() if self._has_plain else None}
+        return {**kept, **rest, "plain": self._plain.checkpoint() if self._has_plain else None}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """Go on as after the step at which a memory was taken, with the same bits."""
-        self._run.recall(memory["run"])
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken, with the same bits."""
+        self._run.restore(checkpoint["run"])
         self._plain.restart()
-        self._has_plain = memory["plain"] is not None
+        self._has_plain = checkpoint["plain"] is not None
         if self._has_plain:
-            self._plain.recall(memory["plain"], x)
-        self._is_plain, self.handed_over = memory["is_plain"], memory["handed_over"]
-        self.takes_blocks = memory["takes_blocks"]
-        self._last = x if is_same(memory["last"], x) else memory["last"]
+            self._plain.restore(checkpoint["plain"], x)
+        self._is_plain, self.handed_over = checkpoint["is_plain"], checkpoint["handed_over"]
+        self.takes_blocks = checkpoint["takes_blocks"]
+        self._last = x if is_same(checkpoint["last"], x) else checkpoint["last"]
 
     def again(self, h: float, t: float) -> State:
         """The last step taken again from its start, with the order of the method."""

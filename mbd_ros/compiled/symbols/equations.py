@@ -93,7 +93,7 @@ class Equations(SymbolicSystem):
     @cached_property
     def held(self) -> Rows:
         """Rigid rows that accelerations and velocities keep."""
-        return rows_of(self.blocks(self.system.held.constraints.blocks), self.k, self.x)
+        return rows_of(self.blocks(self.system.bilateral.constraints.blocks), self.k, self.x)
 
     @cached_property
     def acting(self) -> Rows:
@@ -103,7 +103,7 @@ class Equations(SymbolicSystem):
     @cached_property
     def bias(self) -> list[Any]:
         """The b of J a + b = 0, one SX scalar a row that acts."""
-        rigid = self.held.conditions(self.velocity, self.system.held.constraints.gains)
+        rigid = self.held.conditions(self.velocity, self.system.bilateral.constraints.gains)
         return [*rigid, *self.unilateral.bias]
 
     @cached_property

@@ -59,7 +59,7 @@ class SymbolicSystem:
         self.tree = self._with_drive_inertias(tree_of(system.model))
         self.nq, self.nv, self.nz = system.nq, system.nv, system.internals.nz
         self.nu, self.m = len(system.loads.idle), len(system.multiplier_rows)
-        self.mg, self.mh = len(system.rows), len(system.held.rows)
+        self.mg, self.mh = len(system.rows), len(system.bilateral.rows)
         sizes = {"t": 1, "q": self.nq, "v": self.nv, "z": self.nz, "u": self.nu}
         sizes |= {"d": self.nv, "a": self.nv}
         self.symbols: dict[str, Any] = {name: ca.SX.sym(name, n) for name, n in sizes.items()}

@@ -49,7 +49,7 @@ class ComposedSystem:
     Args:
         motion: Accelerations without unilateral and bounded rows.
         rigid: Bilateral rows on positions, which an integrator may have to keep.
-        held: The same with bilateral rows on velocities; the same object without any.
+        bilateral: The same with bilateral rows on velocities; the same object without any.
         bounded: Rows with bounded multipliers that are solved for in every evaluation, by Gauss's
             principle.
         event_rows: Rows with bounded multipliers that are active by the mode, beside those above.
@@ -62,7 +62,7 @@ class ComposedSystem:
         self,
         motion: FreeMotion,
         rigid: RigidRows,
-        held: RigidRows,
+        bilateral: RigidRows,
         bounded: BoundedRows | None,
         event_rows: EventRows | None,
         layout: RowLayout,
@@ -74,7 +74,7 @@ class ComposedSystem:
         self._build = build
         self._mechanism = motion.mechanism
         coordinates = motion.coordinates
-        self.held = held
+        self.bilateral = bilateral
         self.coordinates = coordinates
         self.tier = motion.tier
         self.chart = coordinates.chart
@@ -116,7 +116,7 @@ class ComposedSystem:
     @property
     def condition(self) -> float:
         """Condition number of the rows in the mass metric when last factorised."""
-        return self.held.condition
+        return self.bilateral.condition
 
     @property
     def evaluations(self) -> int:

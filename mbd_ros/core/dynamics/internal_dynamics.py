@@ -45,7 +45,7 @@ class Extended:
         chart: Of configurations beside the integrals of internal states.
         nq: Size of such a configuration.
         nv: Size of velocities and internal states together.
-        held: All bilateral rows, as that of the system.
+        bilateral: All bilateral rows, as those of the system.
         residual: Of the bilateral rows of positions, as that of the system; so are `jacobian` and
             `rate`.
         upper: Largest velocities, inf but for internal states, shape (nv,).
@@ -63,7 +63,7 @@ class Extended:
         self._nq = system.nq
         self._nv = system.nv
         self._nz = internals.nz
-        self.held = ExtendedRows(system.held, system.nq, internals.nz)
+        self.bilateral = ExtendedRows(system.bilateral, system.nq, internals.nz)
         rows = ExtendedRows(system, system.nq, internals.nz)
         self.residual = rows.residual
         self.jacobian = rows.jacobian
@@ -237,8 +237,8 @@ def settled(system: System, y: State, u: Array | None) -> State:
     def all_rates(values: Array) -> Array:
         moved = z.copy()
         moved[free] = values
-        found: Array = system.rates(y._replace(z=moved), u)
-        return found
+        rates_there: Array = system.rates(y._replace(z=moved), u)
+        return rates_there
 
     rows = _determining(all_rates, z[free], free, internals.upper[free])
 
@@ -305,8 +305,8 @@ def _at_rest(
         if not np.isfinite(r).all():
             return None
         J = _slopes(rates, z, r, upper)
-        held = ((z <= lower) & (r < 0.0)) | ((z >= upper) & (r > 0.0))
-        step, is_solved = _correction(J, r, held)
+        is_at_bound = ((z <= lower) & (r < 0.0)) | ((z >= upper) & (r > 0.0))
+        step, is_solved = _correction(J, r, is_at_bound)
         size = _size(step, z)
         if size <= _ROUNDING or (size <= _AT_REST and size > 0.5 * last):
             return z if is_solved else None
@@ -314,7 +314,7 @@ def _at_rest(
         while True:
             nearer = np.minimum(np.maximum(z + share * step, lower), upper)
             there = rates(nearer)
-            following = _size(_correction(J, there, held)[0], z)
+            following = _size(_correction(J, there, is_at_bound)[0], z)
             if following <= (1.0 - 0.5 * share) * size or size <= _AT_REST:
                 break
             share *= 0.5
@@ -324,9 +324,9 @@ def _at_rest(
     return None
 
 
-def _correction(J: Array, r: Array, held: NDArray[np.bool_]) -> tuple[Array, bool]:
+def _correction(J: Array, r: Array, is_at_bound: NDArray[np.bool_]) -> tuple[Array, bool]:
     """The step with r + J step = 0 of what no bound holds, and whether there is one."""
-    step, free = np.zeros(len(r)), ~held
+    step, free = np.zeros(len(r)), ~is_at_bound
     part = J[np.ix_(free, free)]
     size = np.abs(part).max(axis=1, initial=0.0)
     size[size == 0.0] = 1.0
@@ -351,9 +351,9 @@ def _followed(rates: Callable[[Array], Array], z: Array, bounds: tuple[Array, Ar
     for _ in range(_FOLLOWED):
         if not np.isfinite(r).all():
             break
-        held = ((z <= lower) & (r < 0.0)) | ((z >= upper) & (r > 0.0))
+        is_at_bound = ((z <= lower) & (r < 0.0)) | ((z >= upper) & (r > 0.0))
         J = _slopes(rates, z, r, upper) - np.eye(len(z)) / length
-        step, _ = _correction(J, r, held)
+        step, _ = _correction(J, r, is_at_bound)
         if _size(step, z) > 1.0:
             length *= 0.25
             continue

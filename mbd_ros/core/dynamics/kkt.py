@@ -110,8 +110,8 @@ class Kkt:
         factor = self._rigid.factorise(M, J)
         free = np.linalg.solve(M, forces)
         moved = free - factor.motion(J.dot(free))
-        held = np.abs(moved).max(axis=0) <= HELD_BY_ROWS * np.abs(free).max(axis=0)
-        moved[:, held] = 0.0
+        is_held_still = np.abs(moved).max(axis=0) <= HELD_BY_ROWS * np.abs(free).max(axis=0)
+        moved[:, is_held_still] = 0.0
         return moved
 
     def solution(

@@ -260,7 +260,7 @@ class Balance:
 
     def __init__(self, system: Any) -> None:
         self._system = system
-        self._kept = system.held
+        self._bilateral = system.bilateral
         self._linearization = Linearization(system)
 
     def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:
@@ -270,11 +270,11 @@ class Balance:
             q: Configuration of what is integrated.
             u: Inputs, as for `System.evaluate`.
             a: Accelerations, shape (nv,).
-            lam: Multipliers of the rows that are held.
+            lam: Multipliers of the bilateral rows.
         """
         system = self._system
         force: Array = system.applied(t, q, v, u) - system.mass(q).dot(a)
-        return force + lam.dot(self._kept.jacobian(t, q)) if self._kept.rows else force
+        return force + lam.dot(self._bilateral.jacobian(t, q)) if self._bilateral.rows else force
 
     def slopes(
         self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array

@@ -108,7 +108,7 @@ def _reason(system: Any, free: Array, is_massless: bool) -> str:
         titles[int(v)] for v, share in zip(at, free, strict=True) if v in titles and share > _SHARE
     ]
     movers = list(dict.fromkeys(loose)) or movers
-    if is_massless and system.held.rows:
+    if is_massless and system.bilateral.rows:
         return (
             f"{movers[0]} moves nothing that has mass: tier {system.tier} starts from the mass "
             "matrix without the constraints, which is singular; give its link an <inertial> with "

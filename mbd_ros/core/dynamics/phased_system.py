@@ -64,7 +64,7 @@ class PhasedSystem:
         self.nv = now.nv
         self.rows = now.rows
         self.constraints = now.constraints
-        self.held = now.held
+        self.bilateral = now.bilateral
         self.bounded = now.bounded
         self.event_rows = now.event_rows
 

@@ -52,15 +52,15 @@ class System(Protocol):
         internals: The internal states of its parts: z.
         rows: Bilateral rows of positions, which an integrator may have to keep.
         constraints: The same, stacked.
-        held: All bilateral rows, those of velocities included: what velocities and accelerations
-            keep, and positions need not. `held.rows` is `rows` where no row states velocities.
+        bilateral: All bilateral rows, those of velocities included: velocities and accelerations
+            keep them, positions need not. Equal to `rows` where no row states velocities.
         bounded: Bounded rows that are solved for in every evaluation, None without any.
         event_rows: Unilateral and bounded rows whose mode changes at events only; None without
             any.
         layout: Which multipliers of an `Evaluation` are those of which rows.
         multiplier_rows: What they are, in the same order under every tier.
         sizes: What masses and these rows usually are; None without rows.
-        condition: Condition number of `held` in the mass metric when last factorised, for
+        condition: Condition number of `bilateral` in the mass metric when last factorised, for
             reports; 1 without rows.
     """
 
@@ -75,7 +75,7 @@ class System(Protocol):
     internals: Internals
     rows: tuple[Row, ...]
     constraints: ConstraintRows
-    held: RigidRows
+    bilateral: RigidRows
     bounded: BoundedRows | None
     event_rows: EventRows | None
     layout: RowLayout
@@ -84,7 +84,7 @@ class System(Protocol):
 
     @property
     def condition(self) -> float:
-        """Condition number of `held` when last factorised."""
+        """Condition number of `bilateral` when last factorised."""
 
     @property
     def evaluations(self) -> int:

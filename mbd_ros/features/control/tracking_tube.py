@@ -112,7 +112,7 @@ class DisturbedMotion:
         """
         y = self._slopes.beside(self._motion[i], e)
         try:
-            y = assemble(self._system, y) if self._system.held.rows else y
+            y = assemble(self._system, y) if self._system.bilateral.rows else y
         except SolveError:
             return Outcome(math.inf, math.inf)
         end = self._plan.end + self._hold

@@ -143,7 +143,7 @@ def _of_mechanism(scene: Scene) -> PhaseSpace:
     names = scene.couplings.independent
     if not system.chart.is_flat or system.nq != system.nv:
         raise SceneError(f"{scene.name}: quaternions of free bodies have no canonical momenta")
-    if len(system.held.rows) != len(system.rows):
+    if len(system.bilateral.rows) != len(system.rows):
         raise SceneError(f"{scene.name}: rows of velocities have no brackets: holonomic rows have")
     _refuse_many(scene.name, names)
     y = assemble(system, system.reduce(scene.initial))

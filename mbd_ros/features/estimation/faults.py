@@ -256,14 +256,14 @@ class SensorFaults:
                 faults[name] = f"jumped, does not fit for {self._t - self._counted[i]:.3g} s"
         return faults
 
-    def remember(self) -> Mapping[str, Any]:
+    def checkpoint(self) -> Mapping[str, Any]:
         """All that later answers depend on; arrays are never written to."""
         own = self.__dict__
         return {name: own[name] for name in _MEMORY_FIELDS}
 
-    def recall(self, memory: Mapping[str, Any]) -> None:
-        """Go back to what `remember` gave."""
-        for name, value in memory.items():
+    def restore(self, checkpoint: Mapping[str, Any]) -> None:
+        """Go back to a checkpoint."""
+        for name, value in checkpoint.items():
             setattr(self, name, value)
 
 

@@ -235,7 +235,7 @@ class Determinations:
             v = system.robot.joint(name).v
             is_known = is_known | _moves(system, lifted, v)
         self._known, self._others = np.flatnonzero(is_known), np.flatnonzero(~is_known)
-        self.asks = bool(system.held.rows) and len(self._others) > 0
+        self.asks = bool(system.bilateral.rows) and len(self._others) > 0
         self._times = np.linspace(0.0, ahead, _SAMPLES + 1)[1:].tolist()
 
     def at(self, y: State, a: Array) -> Determination:
@@ -285,7 +285,7 @@ class Determinations:
 
     def _rows(self, y: State) -> Array:
         """Independent rows, by what is known and by the others."""
-        return self._system.held.jacobian(y.t, y.q)
+        return self._system.bilateral.jacobian(y.t, y.q)
 
     def _amplified(self, J: Array) -> tuple[float, float]:
         sizes = np.linalg.norm(J, axis=1, keepdims=True)

@@ -114,15 +114,15 @@ class Tracker:
         return Taken.PLACED
 
     def _go_back(self, before: Any) -> None:
-        memory, faults, self._usual = before
-        self.estimator.recall(memory)
-        self.faults.recall(faults)
+        checkpoint, faults, self._usual = before
+        self.estimator.restore(checkpoint)
+        self.faults.restore(faults)
         if self.window is not None:
             self.window.back_to(self.belief.t)
 
     def _step(self, t: float, values: Array, u: Array | None) -> None:
         estimator = self.estimator
-        before = estimator.remember(), self.faults.remember(), self._usual
+        before = estimator.checkpoint(), self.faults.checkpoint(), self._usual
         self._steps.append(_Step(t, self.belief.t, values, u, before))
         while self._steps[0].t < t - self._memory or len(self._steps) > MOST_SAMPLES:
             del self._steps[0]

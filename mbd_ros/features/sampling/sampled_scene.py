@@ -82,7 +82,7 @@ def _mechanism(scene: Scene) -> SampledScene:
         raise SceneError(f"{scene.name}: a free body is nowhere held: it has no ensemble")
     if not system.nv:
         raise SceneError(f"{scene.name}: no joint moves, there is nothing to sample")
-    if len(system.held.rows) != len(system.rows):
+    if len(system.bilateral.rows) != len(system.rows):
         raise SceneError(f"{scene.name}: rows of velocities have no ensemble of configurations")
     y = assemble(system, system.reduce(scene.initial))
     names = scene.couplings.independent

@@ -115,12 +115,12 @@ def _motion(system: System, x: State) -> LinearMotion | None:
 
 def _folds(system: System, states: Sequence[State]) -> Iterator[str]:
     """Where the mechanism nearly folds: beyond, it may be on another branch."""
-    if not system.held.rows:
+    if not system.bilateral.rows:
         return
     looked, conditions = states[:: 1 + len(states) // _FOLD_LOOKS], []
     for x in looked:
         y = system.reduce(x)
-        factor = system.held.factor_at(y.t, y.q)
+        factor = system.bilateral.factor_at(y.t, y.q)
         conditions.append(factor.condition)
     known = [c for c in conditions if c < math.inf]
     if known and max(known) > TOGGLE_RISE * min(known):

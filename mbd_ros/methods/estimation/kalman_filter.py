@@ -79,13 +79,13 @@ class KalmanFilter(Estimator):
         F = None if self.going is None else self.going.F
         return Filtered(F, self.predicted, self.belief)
 
-    def remember(self) -> Any:
-        """As `Estimator.remember`."""
+    def checkpoint(self) -> Any:
+        """As `Estimator.checkpoint`."""
         return self.belief, self._u
 
-    def recall(self, memory: Any) -> None:
-        """As `Estimator.recall`."""
-        self.belief, self._u = memory
+    def restore(self, checkpoint: Any) -> None:
+        """As `Estimator.restore`."""
+        self.belief, self._u = checkpoint
 
     def _update(self, x: Any, measurement: Measurement, seen: Observation) -> Update:
         """The update of the prior by a measurement that is linearised at x."""

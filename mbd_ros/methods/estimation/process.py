@@ -280,13 +280,13 @@ class Estimator:
         """
         raise NotImplementedError
 
-    def remember(self) -> Any:
-        """All that later answers depend on, as a value for `recall`."""
+    def checkpoint(self) -> Any:
+        """All that later answers depend on, as a value for `restore`."""
         return self.belief
 
-    def recall(self, memory: Any) -> None:
-        """Go back to what `remember` gave."""
-        self.belief = memory
+    def restore(self, checkpoint: Any) -> None:
+        """Go back to a checkpoint."""
+        self.belief = checkpoint
 
 
 class Belief(NamedTuple):

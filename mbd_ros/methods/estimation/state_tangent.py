@@ -49,7 +49,7 @@ class StateTangent:
     """
 
     def __init__(self, system: System, y: State) -> None:
-        self.system, self.is_whole = system, not system.held.rows
+        self.system, self.is_whole = system, not system.bilateral.rows
         self._nz = len(y.z)
         unit = np.eye(system.nv)
         self._unity, self._whole_lift = Basis(unit, unit), np.eye(2 * system.nv + self._nz)
@@ -160,8 +160,8 @@ class StateTangent:
 
     def _rows(self, y: State) -> tuple[Array, Array]:
         system = self.system
-        J = system.held.jacobian(y.t, y.q)
-        if len(system.rows) == len(system.held.rows):
+        J = system.bilateral.jacobian(y.t, y.q)
+        if len(system.rows) == len(system.bilateral.rows):
             return J, J
         return system.jacobian(y.t, y.q), J
 

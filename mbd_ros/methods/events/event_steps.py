@@ -235,22 +235,22 @@ class EventSteps(Stepper):
         taken, self._transitions.events = self.events, EventLog()
         return taken
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """Return mode, events and the last step."""
         return {
-            **super().memory(),
+            **super().checkpoint(),
             "transitions": self._transitions.checkpoint(),
             "room": self._clearance.known,
-            "inner": self._inner.memory(),
+            "inner": self._inner.checkpoint(),
         }
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """Go on as after the step at which a memory was taken, with the same bits."""
-        super().recall({name: memory[name] for name in self.kept}, x)
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken, with the same bits."""
+        super().restore({name: checkpoint[name] for name in self.kept}, x)
         self._inner.follow(self.field.accelerator(self._followed), self._followed)
-        self._inner.recall(memory["inner"], x)
-        self._clearance.known = memory["room"]
-        self._transitions.restore(memory["transitions"])
+        self._inner.restore(checkpoint["inner"], x)
+        self._clearance.known = checkpoint["room"]
+        self._transitions.restore(checkpoint["transitions"])
 
     def continue_from(self, x: State) -> None:
         """Continue in the same mode from a corrected state."""

@@ -352,7 +352,7 @@ def open_gaps(system: System, rows: EventRows, gaps: Sequence[int], y: State) ->
         closed.update(negative)
         mode = tuple(0 if i in closed else 1 for i in range(len(rows.names)))
         y = rows.project(y, mode, moves=False)
-        if not system.held.rows:
+        if not system.bilateral.rows:
             return y
         y = assemble(system, y)
     if not negative:

@@ -330,20 +330,20 @@ class PhaseSteps(Stepper):
         taken, self.events_so_far = self.events_so_far, EventLog()
         return taken
 
-    def memory(self) -> Memory:
-        """As `Stepper.memory`, with that of the steps in all phases that there were."""
-        known = {i: self._steppers[i].memory() for i in self._used}
-        return {**super().memory(), "steppers": known}
+    def checkpoint(self) -> Memory:
+        """As `Stepper.checkpoint`, with that of the steps in all phases that there were."""
+        known = {i: self._steppers[i].checkpoint() for i in self._used}
+        return {**super().checkpoint(), "steppers": known}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
-        super().recall({name: memory[name] for name in self.kept}, x)
-        y, known = self._inward(x), memory["steppers"]
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """As `Stepper.restore`."""
+        super().restore({name: checkpoint[name] for name in self.kept}, x)
+        y, known = self._inward(x), checkpoint["steppers"]
         for i in self._used - set(known):  # what is forgotten leaves a trace in their rounding
             self._steppers[i] = self._stepper_of(self.system.systems[i])
         self._used = set(known)
         for i in known:
-            self._steppers[i].recall(known[i], y)
+            self._steppers[i].restore(known[i], y)
 
     def continue_from(self, x: State) -> None:
         """As `Stepper.continue_from`."""
@@ -459,7 +459,7 @@ def refuse_open(system: System, y: State, where: str) -> None:
     Raises:
         SolveError: Names the row that is most open.
     """
-    held = system.held
+    held = system.bilateral
     if not held.rows:
         return
     g = held.residual(y.t, y.q)

@@ -136,16 +136,16 @@ class AdamsSteps(Stepper):
         q = start.q + theta * dt * start.v + dt * dt * twice.dot(a)
         return State(t, q, start.v + dt * once.dot(a), mode=self._mode)
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """Accelerations of earlier steps, and where the next one stands among them."""
         rows = self._B.copy(), self._done()
-        return {**super().memory(), "rows": rows, "starter": self._starter.memory()}
+        return {**super().checkpoint(), "rows": rows, "starter": self._starter.checkpoint()}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
-        super().recall({name: memory[name] for name in self.kept}, x)
-        self._starter.recall(memory["starter"], x)
-        self._B[...], done = memory["rows"]
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """As `Stepper.restore`."""
+        super().restore({name: checkpoint[name] for name in self.kept}, x)
+        self._starter.restore(checkpoint["starter"], x)
+        self._B[...], done = checkpoint["rows"]
         self._slots = cycle(self._turns)
         for row, _, _, head, _, _ in islice(self._slots, done):
             self._row, self._head = row, head

@@ -39,14 +39,14 @@ class AdaptedSteps(Stepper):
         self._inner.restart()
         self._last = (None, None)
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """What the method remembers, and the last state in both forms."""
-        return {"last": copied(self._last), "inner": self._inner.memory()}
+        return {"last": copied(self._last), "inner": self._inner.checkpoint()}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """As `Stepper.recall`."""
-        self._last = recognised(copied(memory["last"]), x)
-        self._inner.recall(memory["inner"], self._known(x))
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """As `Stepper.restore`."""
+        self._last = recognised(copied(checkpoint["last"]), x)
+        self._inner.restore(checkpoint["inner"], self._known(x))
 
     def again(self, h: float, t: float) -> State:
         """The last step taken again with another length."""

@@ -86,14 +86,14 @@ class ConstrainedVerlet:
         self._stretch = 1.0
         self._here: Configuration | None = None
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """Corrections of the last step, from which the next one starts."""
         return {name: copied(getattr(self, name)) for name in _KEPT}
 
-    def recall(self, memory: Memory) -> None:
-        """Continue from a memory."""
+    def restore(self, checkpoint: Memory) -> None:
+        """Continue from a checkpoint."""
         self.restart()
-        for name, value in memory.items():
+        for name, value in checkpoint.items():
             setattr(self, name, copied(value))
 
     def at(self, t: float, q: Array) -> Configuration:

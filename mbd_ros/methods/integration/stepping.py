@@ -182,18 +182,18 @@ class Stepper:
     def forget_residuals(self) -> None:
         """Begin to look for the worst residuals anew."""
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """What later steps depend on beside their arguments, as a value of its own."""
         return {name: copied(getattr(self, name)) for name in self.kept}
 
-    def recall(self, memory: Memory, x: State) -> None:
-        """Go on as after the step at which a memory was taken, with the same bits.
+    def restore(self, checkpoint: Memory, x: State) -> None:
+        """Go on as after the step at which a checkpoint was taken, with the same bits.
 
         Args:
-            memory: What `memory` gave, of a stepper for the same system and step size.
+            checkpoint: What `checkpoint` gave, of a stepper for the same system and step size.
             x: State from which the next step starts.
         """
-        for name, value in memory.items():
+        for name, value in checkpoint.items():
             setattr(self, name, recognised(copied(value), x))
 
     def again(self, h: float, t: float) -> State:

@@ -56,7 +56,7 @@ class LoopMotion:
         self._is_base = np.isin(np.arange(robot.model.nv), robot.base_v)
         self._q = np.array([joint.q for joint in robot.joints], dtype=np.intp)
         self._v = np.array([joint.v for joint in robot.joints], dtype=np.intp)
-        self._bilateral = self._system.held  # rows of positions and of velocities
+        self._bilateral = self._system.bilateral  # rows of positions and of velocities
         sizes = self._bilateral.sizes
         self._usual = np.zeros(0) if sizes is None else np.sqrt(sizes.mobility)
 

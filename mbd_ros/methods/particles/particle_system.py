@@ -89,7 +89,7 @@ class ParticleSystem:
         return self.rows
 
     @property
-    def held(self) -> ParticleSystem:
+    def bilateral(self) -> ParticleSystem:
         """All bilateral rows: those of positions, there are no others."""
         return self
 

@@ -41,7 +41,7 @@ def assemble(system: System, x: State) -> State:
     Raises:
         SolveError: There is none near it; names the worst row and its residual.
     """
-    held = system.held
+    held = system.bilateral
     if not held.rows or _is_consistent(system, x):
         return x
     q = _nearest_configuration(system, x) if system.rows else x.q
@@ -63,7 +63,7 @@ def assemble(system: System, x: State) -> State:
 
 def _is_consistent(system: System, x: State) -> bool:
     off = violation(system, x)
-    fastest = _speed(system, system.held.jacobian(x.t, x.q), x.v)
+    fastest = _speed(system, system.bilateral.jacobian(x.t, x.q), x.v)
     return off.position <= ON_MANIFOLD and off.velocity <= ON_MANIFOLD * (1.0 + fastest)
 
 
@@ -138,7 +138,7 @@ def project(system: System, x: State) -> State:
     Raises:
         SolveError: The state is too far away; names the time, and the row that stays open.
     """
-    if not system.held.rows:
+    if not system.bilateral.rows:
         return x
     try:
         return _projected(system, x)
@@ -147,7 +147,7 @@ def project(system: System, x: State) -> State:
 
 
 def _projected(system: System, x: State) -> State:
-    held, q, factor = system.held, x.q, None
+    held, q, factor = system.bilateral, x.q, None
     if system.rows:
         q, factor = _closed_nearby(system, x)
     if factor is None or len(held.rows) > len(system.rows):
@@ -203,7 +203,7 @@ class Violation(NamedTuple):
 
 def violation(system: System, x: State) -> Violation:
     """How far a state of the integrated coordinates violates the bilateral rows."""
-    held = system.held
+    held = system.bilateral
     if not held.rows:
         return Violation(0.0, 0.0)
     g = held.residual(x.t, x.q)

@@ -43,7 +43,7 @@ def consistent_start(system: System, x: State) -> State:
     """
     y = system.reduce(x)
     check_mass(system, y.q)
-    if system.held.rows:
+    if system.bilateral.rows:
         assembled = assemble(system, y)
         if assembled is not y:
             check_mass(system, assembled.q)

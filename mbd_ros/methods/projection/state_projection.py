@@ -98,7 +98,7 @@ class StateProjector:
         self._limits = LimitForces(n, is_bounded), LimitForces(n, is_bounded)
         self._on_rows = NearestOnRows(system, self.lower, self.upper, *self._limits)
         self._none = np.zeros(n, dtype=np.bool_)
-        held = system.held.constraints.parts
+        held = system.bilateral.constraints.parts
         parts = [part for part in held if isinstance(part, CouplingRows)]
         self._coupled: NearestCoupled | None = None
         if n and len(parts) == len(held):
@@ -244,7 +244,7 @@ class ObservedState:
             self._couplings.expand(q, v, np.zeros(self._nv), self._slopes)
             self.dependent = q[self._dependent_q]
         x = State(t, q, v)
-        if self._system.held.rows:
+        if self._system.bilateral.rows:
             x = project(self._system, x)
             self.moved = float(np.abs(x.q - q).max())
         return x
@@ -294,7 +294,7 @@ class NearestOnRows:
         self._configuration = NearestConfiguration(system, lower, upper, of_position)
         self._program = MoveQp(system.nv, of_velocity)
         self._zero = np.zeros(system.nv)
-        self.has_rates = len(system.held.rows) > len(system.rows)
+        self.has_rates = len(system.bilateral.rows) > len(system.rows)
 
     def rows(self, t: float, q: Array) -> Rows:
         """Residual g and Jacobian J, shapes (m,) and (m, n).
@@ -327,7 +327,7 @@ class NearestOnRows:
 
     def held(self, t: float, q: Array, J: Array) -> Array:
         """Jacobian of all rows that velocities keep, from that of positions at the same q."""
-        return self._system.held.jacobian(t, q) if self.has_rates else J
+        return self._system.bilateral.jacobian(t, q) if self.has_rates else J
 
     def violation(self, x: State, rows: Rows | None = None) -> tuple[Array, Array]:
         """Residual g and its rate g' at any state, shapes (m,) and (m,).
@@ -339,7 +339,7 @@ class NearestOnRows:
         return g, J.dot(x.v) + self._system.rate(x.t, x.q)
 
     def _velocity(self, x: State, q: Array, J: Array, metric: Metric) -> Array:
-        rate = self._system.held.rate(x.t, q)
+        rate = self._system.bilateral.rate(x.t, q)
         floor, ceiling = stops(q, self._lower, self._upper)
         c = -(J.dot(x.v) + rate)
         try:

@@ -199,9 +199,9 @@ class SimulatedFlow(CheckedSteps):
     def open(self, x: State) -> Array:
         """How far rows of positions are open in the phase of a state [m or rad], shape (m,)."""
         system = self._motion(x).system
-        if not system.held.rows:
+        if not system.bilateral.rows:
             return np.zeros(0)
-        residual: Array = system.held.residual(x.t, x.q)
+        residual: Array = system.bilateral.residual(x.t, x.q)
         return residual
 
     def started(self, x: State) -> State:
@@ -307,7 +307,7 @@ class SmoothMotion:
     def basis(self, y: State) -> Array:
         """Orthonormal tangents that keep the rows of its phase, shape (2 nv + nz, d)."""
         system, n = self.system, self.system.nv
-        held, nz = system.held, len(y.z)
+        held, nz = system.bilateral, len(y.z)
         if not held.rows:
             return np.eye(2 * n + nz)
 
@@ -406,7 +406,7 @@ def placed(
     q, v = system.chart.integrate(y.q, step), y.v.copy()
     for index, value in velocities.items():
         v[index] = value
-    if system.held.rows:
+    if system.bilateral.rows:
         q = _closed(system, y.t, q, np.array([i not in positions for i in range(system.nv)]))
         v = _closing(system, y.t, q, v, np.array([i not in velocities for i in range(system.nv)]))
     y = y._replace(q=q, v=v)
@@ -418,7 +418,7 @@ def placed(
 
 def _closed(system: Any, t: float, q: Array, loose: Array) -> Array:
     """The configuration with closed rows, some coordinates fixed."""
-    held = system.held
+    held = system.bilateral
     for _ in range(_MOST):
         found = np.linalg.lstsq(held.jacobian(t, q)[:, loose], held.residual(t, q))[0]
         longest = float(np.abs(found).max(initial=0.0))
@@ -432,7 +432,7 @@ def _closed(system: Any, t: float, q: Array, loose: Array) -> Array:
 
 def _closing(system: Any, t: float, q: Array, v: Array, loose: Array) -> Array:
     """The velocity that keeps the rows closed, some of it fixed."""
-    jacobian = system.held.jacobian(t, q)
-    off = jacobian.dot(v) + system.held.rate(t, q)
+    jacobian = system.bilateral.jacobian(t, q)
+    off = jacobian.dot(v) + system.bilateral.rate(t, q)
     v[loose] -= np.linalg.lstsq(jacobian[:, loose], off)[0]
     return v

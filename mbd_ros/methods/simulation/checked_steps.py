@@ -71,7 +71,7 @@ class CheckedSteps:
         self.overshoots = Overshoots(system) if has_stops else None
         several = phased(system)
         systems = (system,) if several is None else several.systems
-        has_rows = any(one.held.rows for one in systems)
+        has_rows = any(one.bilateral.rows for one in systems)
         self._is_corrected = has_rows and not integrator.keeps_constraints
         self._nz = system.internals.nz
         self._made_by = integrator.title, dt, system.nq, system.nv, self._nz
@@ -218,13 +218,13 @@ class Overshoots:
         self._speed, self._when = np.zeros((2, len(self._ends)))
         self._worst, self._limit, self._seen = self._first, self._ends + self._first, y
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """What was seen so far, as a value of its own."""
         return {name: copied(getattr(self, name)) for name in _KEPT}
 
-    def recall(self, memory: Memory, y: Any) -> None:
-        """Go on from a memory; y is the state from which the next step starts."""
-        for name, value in memory.items():
+    def restore(self, checkpoint: Memory, y: Any) -> None:
+        """Go on from a checkpoint; y is the state from which the next step starts."""
+        for name, value in checkpoint.items():
             setattr(self, name, recognised(copied(value), y))
 
     def look(self, y: Any, y_next: Any) -> None:

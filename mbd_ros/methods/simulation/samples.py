@@ -200,7 +200,7 @@ class SampleBlocks:
         held = self._table(most)
         while stepper.newest < times.end:
             if is_remembered:
-                self._before, self._seen = (stepper.memory(), held), 0
+                self._before, self._seen = (stepper.checkpoint(), held), 0
             block = stepper.samples(times, held, look_at - (stepper.taken - since), most)
             if len(block.rows):
                 yield block.rows
@@ -246,13 +246,13 @@ class SampleBlocks:
         """How far the run is at the newest sample that was given, steps until then, memory."""
         stepper = self.stepper
         if self._before is None:
-            return self.progress, stepper.taken, stepper.memory()
+            return self.progress, stepper.taken, stepper.checkpoint()
         memory, held = self._before
-        after = stepper.memory()
-        stepper.recall(memory, memory["last"])
+        after = stepper.checkpoint()
+        stepper.restore(memory, memory["last"])
         block = stepper.samples(self._times, held, 2**62, self._seen)
-        found = self._progress(held, block.intervals), stepper.taken, stepper.memory()
-        stepper.recall(after, after["last"])
+        found = self._progress(held, block.intervals), stepper.taken, stepper.checkpoint()
+        stepper.restore(after, after["last"])
         return found
 
     def _progress(self, held: HeldTable, interval: int | None) -> Progress:

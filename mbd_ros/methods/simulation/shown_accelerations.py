@@ -157,12 +157,12 @@ def _lawful(cone: Cone, mode: Mode, force: Array, most: float) -> Mode:
 def seen_ahead(simulation: Simulation, x: State, u: Array | None) -> Seen:
     """With the mean forces of the step that begins at a state; arguments as for `seen_at`."""
     system, stepper = simulation.system, simulation.stepper
-    y, memory = system.reduce(x), stepper.memory()
+    y, memory = system.reduce(x), stepper.checkpoint()
     held = system.loads.sources.held(x.t) if u is None else u
     stepper.step(y, held, y.t + simulation.dt)
     forces = stepper.forces
     stepper.restart()
-    stepper.recall(memory, y)
+    stepper.restore(memory, y)
     assert forces is not None
     return _with_means(simulation, x, u, forces)
 

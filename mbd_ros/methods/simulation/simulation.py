@@ -177,11 +177,11 @@ class Simulation(CheckedSteps):
         Raises:
             ModelError: Nothing was started yet.
         """
-        stops = {} if self.overshoots is None else self.overshoots.memory()
+        stops = {} if self.overshoots is None else self.overshoots.checkpoint()
         if self._blocks is not None:
             progress, steps, memory = self._blocks.remembered()
         else:
-            progress, steps, memory = self._progressed(), self.steps, self.stepper.memory()
+            progress, steps, memory = self._progressed(), self.steps, self.stepper.checkpoint()
         return Checkpoint(self._made_by, progress, steps, self.worst, stops, memory)
 
     def resume(self, checkpoint: Checkpoint) -> State:
@@ -194,9 +194,9 @@ class Simulation(CheckedSteps):
         self._progress, self.steps, self.worst = checkpoint[1:4]
         y, self._blocks = checkpoint.progress.y, None
         self.stepper.restart()
-        self.stepper.recall(checkpoint.memory, y)
+        self.stepper.restore(checkpoint.memory, y)
         if self.overshoots is not None:
-            self.overshoots.recall(checkpoint.stops, y)
+            self.overshoots.restore(checkpoint.stops, y)
         return y
 
     def advance(self, y: State, u: Array | None, due: float) -> State:

@@ -152,15 +152,15 @@ class MovingHorizon(Estimator):
         t, x = self._nodes[newest].t, self._nodes[newest].x
         return Belief(t, x, update.P, update.innovation, False, "late: filter alone")
 
-    def remember(self) -> Any:
+    def checkpoint(self) -> Any:
         """Return a checkpoint of the window and of its released bounds."""
         beliefs = self.belief, self._filtered, self._predicted, list(self._arrivals)
         released = set(self._chain.released)
         return beliefs, list(self._nodes), self._has_prior, self.answer, released
 
-    def recall(self, memory: Any) -> None:
+    def restore(self, checkpoint: Any) -> None:
         """Restore a checkpoint."""
-        beliefs, nodes, self._has_prior, self.answer, released = memory
+        beliefs, nodes, self._has_prior, self.answer, released = checkpoint
         self._chain.released = set(released)
         self.belief, self._filtered, self._predicted, arrivals = beliefs
         self._arrivals = list(arrivals)

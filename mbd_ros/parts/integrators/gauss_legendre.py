@@ -97,9 +97,9 @@ class _Steps(Stepper):
         """Forget stages and derivatives."""
         self._is_fresh, self._is_slow, self._h = True, True, 0.0
 
-    def recall(self, memory: Memory, x: State) -> None:
+    def restore(self, checkpoint: Memory, x: State) -> None:
         """Take up what an earlier step has kept, with the coefficients for its length."""
-        super().recall(memory, x)
+        super().restore(checkpoint, x)
         self._scale(self._h)
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:

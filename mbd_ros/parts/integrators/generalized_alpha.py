@@ -68,8 +68,8 @@ class _Steps(Stepper):
         self._system = system
         self._dt = dt
         self._tolerance = method.tolerance
-        self._kept = system.held
-        self._is_rate = system.held.constraints.is_rate
+        self._bilateral = system.bilateral
+        self._is_rate = system.bilateral.constraints.is_rate
         self._has_rates = bool(self._is_rate.any())
         self._accelerate = system.accelerator()
         rho = method.spectral_radius
@@ -78,7 +78,7 @@ class _Steps(Stepper):
         self._gamma = 0.5 + self._af - self._am
         self._beta = 0.25 * (self._gamma + 0.5) ** 2
         self._ratio = (1.0 - self._am) / (1.0 - self._af)  # dv'+ / da+
-        nv, size = system.nv, system.nv + len(system.held.rows)
+        nv, size = system.nv, system.nv + len(system.bilateral.rows)
         self._a0, self._vdot0, self._of_q = np.zeros((3, nv))
         self._lam0, self._of_g = np.zeros((2, size - nv))
         self._inverse = np.eye(size)
@@ -123,7 +123,7 @@ class _Steps(Stepper):
         """
         self._h, self._is_slow = h, True
         self._vdot0 = self._a0 = self._acceleration(x, u)
-        self._lam0 = np.zeros(len(self._kept.rows))
+        self._lam0 = np.zeros(len(self._bilateral.rows))
 
     def _begin(self, x: State, h: float) -> None:
         """What of the step does not depend on a+, and a+ for a constant acceleration."""
@@ -152,7 +152,7 @@ class _Steps(Stepper):
         self._evaluate(x)
         M = system.mass(self._q).dense
         stiffness, damping = self._balance.slopes(t, self._q, self._v, u, self._vdot, self._lam)
-        J = self._kept.jacobian(t, self._q) if self._kept.rows else np.zeros((0, n))
+        J = self._bilateral.jacobian(t, self._q) if self._bilateral.rows else np.zeros((0, n))
         self._of_q = 1.0 / np.sqrt(M.diagonal())
         J = J * self._of_q
         size = np.sqrt((J * J).sum(axis=1))
@@ -175,7 +175,7 @@ class _Steps(Stepper):
             self._evaluate(x)
             force = self._balance.force(t, self._q, self._v, u, self._vdot, self._lam)
             r[:n] = force_scale * force
-            if self._kept.rows:
+            if self._bilateral.rows:
                 r[n:] = -self._of_g * self._off(t)
             z = self._inverse.dot(r)
             self._a = self._a + of_a * z[:n]
@@ -189,8 +189,10 @@ class _Steps(Stepper):
 
     def _off(self, t: float) -> Array:
         """What the rows leave, as positions: beta h / gamma of the rate where they state rates."""
-        g = self._kept.residual(t, self._q)
+        g = self._bilateral.residual(t, self._q)
         if self._has_rates:
-            rate = self._kept.jacobian(t, self._q).dot(self._v) + self._kept.rate(t, self._q)
+            rate = self._bilateral.jacobian(t, self._q).dot(self._v) + self._bilateral.rate(
+                t, self._q
+            )
             g = np.where(self._is_rate, (self._beta * self._h / self._gamma) * rate, g)
         return g

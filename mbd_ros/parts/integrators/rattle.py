@@ -78,14 +78,14 @@ class _Steps(Stepper):
         """Continue from the last state, at a time without rounding."""
         self._last = (x, *self._last[1:])
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """Force and corrections of the last step."""
-        return {**super().memory(), "verlet": self._verlet.memory()}
+        return {**super().checkpoint(), "verlet": self._verlet.checkpoint()}
 
-    def recall(self, memory: Memory, x: State) -> None:
+    def restore(self, checkpoint: Memory, x: State) -> None:
         """Take up what an earlier step has kept, the corrections of its Verlet steps included."""
-        super().recall({name: memory[name] for name in self.kept}, x)
-        self._verlet.recall(memory["verlet"])
+        super().restore({name: checkpoint[name] for name in self.kept}, x)
+        self._verlet.restore(checkpoint["verlet"])
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""

@@ -87,14 +87,14 @@ class _Steps(Stepper):
         self._ahead: tuple[Any, ...] = (None, None, None, None, None)
         self._verlet.restart()
 
-    def memory(self) -> Memory:
+    def checkpoint(self) -> Memory:
         """The half-step that was solved ahead, and the last corrections."""
-        return {**super().memory(), "verlet": self._verlet.memory()}
+        return {**super().checkpoint(), "verlet": self._verlet.checkpoint()}
 
-    def recall(self, memory: Memory, x: State) -> None:
+    def restore(self, checkpoint: Memory, x: State) -> None:
         """Take up what an earlier step has kept, the corrections of its Verlet steps included."""
-        super().recall({name: memory[name] for name in self.kept}, x)
-        self._verlet.recall(memory["verlet"])
+        super().restore({name: checkpoint[name] for name in self.kept}, x)
+        self._verlet.restore(checkpoint["verlet"])
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step."""

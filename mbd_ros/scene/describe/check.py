@@ -130,7 +130,7 @@ def _held_start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
         return system.reduce(scene.initial), None
     motion = scene.closed_loop().motion
     x = scene.initial._replace(q=motion.assemble(scene.initial))
-    return x, RowFactor(motion.metric(x.q), system.held.jacobian(x.t, x.q))
+    return x, RowFactor(motion.metric(x.q), system.bilateral.jacobian(x.t, x.q))
 
 
 def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
@@ -142,9 +142,9 @@ def _start(scene: Scene, system: System) -> tuple[State, RowFactor | None]:
     a = system.evaluate(system.expand(x)).a
     if not np.isfinite(a).all():
         raise SolveError(f"{scene.name}: accelerations at the start are not finite: {a}")
-    if not system.held.rows:
+    if not system.bilateral.rows:
         return x, None
-    return x, system.held.factor_at(x.t, x.q)
+    return x, system.bilateral.factor_at(x.t, x.q)
 
 
 def _settled(system: System, y: State) -> State:
@@ -180,12 +180,12 @@ def _reach(scene: Scene, x: State) -> Iterator[Line]:
 
 def _forward(scene: Scene, system: System) -> str:
     """The tier, the method and the step."""
-    rows = f", {len(system.held.rows)} rows" if system.held.rows else ""
+    rows = f", {len(system.bilateral.rows)} rows" if system.bilateral.rows else ""
     method = f"integrator {default_integrator(scene)['type']} by default"
     if scene.integrator is not None:
         method = type(scene.integrator).__name__
     text = f"{tier_of(system)}: {_TIERS[system.tier]}{rows}; {method}, dt {scene.dt:g} s"
-    if system.held.rows:
+    if system.bilateral.rows:
         correction = scene.stabilization
         title = "projection by default" if correction is None else type(correction).__name__
         text += f"; stabilization {title}"
@@ -199,7 +199,7 @@ def _warnings(scene: Scene, system: System, x: State, factor: RowFactor | None) 
         yield "warning", text
     floor = getattr(scene.stabilization, "floor", None)
     if (
-        system.held.rows
+        system.bilateral.rows
         and floor is not None
         and floor(scene.dt) > scene.stabilization.time_constant
     ):

@@ -200,7 +200,7 @@ class Batch:
         """Where what is integrated starts, a row a run; NaN where a run fails."""
         simulation = self._simulation
         system = simulation.system
-        is_plain = not system.held.rows and not system.internals.nz
+        is_plain = not system.bilateral.rows and not system.internals.nz
         if is_plain and system.nv == system.model.nv:
             return np.hstack((x.q, x.v))
         rows = np.full((self.count, system.nq + system.nv + system.internals.nz), np.nan)

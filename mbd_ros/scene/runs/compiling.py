@@ -86,12 +86,12 @@ def _dependence(system: System, start: State) -> str:
 
     Compiled steps would be handed over, all of them.
     """
-    rows = len(system.held.rows)
+    rows = len(system.bilateral.rows)
     if not rows:
         return ""
     try:
         y = assemble(system, system.reduce(start))
-        rank = system.held.factor_at(y.t, y.q).rank
+        rank = system.bilateral.factor_at(y.t, y.q).rank
     except SolveError:  # the start itself says it, if it is this one
         return ""
     return f"{rank} of {rows} rows are independent, plain steps solve by rank" * (rank < rows)

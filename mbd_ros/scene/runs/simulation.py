@@ -62,7 +62,7 @@ def build_simulation(
         method = build_part("integrators", integrator, f"{scene.name}: integrator")
     correction = scene.stabilization
     if stabilization is not None or correction is None:
-        has_rows = bool(scene.phases) or bool(system.held.rows)
+        has_rows = bool(scene.phases) or bool(system.bilateral.rows)
         entry = stabilization or {"type": "projection" if has_rows else "none"}
         correction = build_part("stabilization", entry, f"{scene.name}: stabilization")
     try:

@@ -75,7 +75,7 @@ def test_loads_and_sensors_are_those_of_newton_and_euler(name):
     symbols = [phase.symbols[key] for key in ("t", *LETTERS)]
     results = [ca.densify(ca.vertcat(*(one.value for one in part))) for part in every]
     asked, lifted = ca.Function("asked", symbols, results), _lifting(phase)
-    rows = ConstraintRows(system.held.constraints.blocks, robot.model.nv)
+    rows = ConstraintRows(system.bilateral.constraints.blocks, robot.model.nv)
     reactions = JointReactions(robot, rows, (), system.loads.forces)
     start = system.reduce(scene.initial)
     for _ in range(3):

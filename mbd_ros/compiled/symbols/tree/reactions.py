@@ -68,7 +68,7 @@ class SymbolicReactions:
     def _of_rows(self) -> list[Wrench]:
         e, found, first = self._e, list[Wrench](), 0
         lam = numbers(e.symbols["l"])
-        for block in e.blocks(e.system.held.constraints.blocks):
+        for block in e.blocks(e.system.bilateral.constraints.blocks):
             own = lam[first : first + len(block.rows)]
             first += len(block.rows)
             with tracing(block.part):
