@@ -526,7 +526,7 @@ def test_a_table_holds_them_and_a_run_goes_on_from_it():
     said = []
     without = Result({"samples": Table(kept)})
     fresh = simulate(scene, 0.1, origin=without, start=0.1, say=said.append)["samples"]
-    assert said[0] == "the result: no column drive.speed: as the scene starts"
+    assert said[0] == "the result: no column drive.speed: they start as in the scene"
     assert fresh["drive.angle"][0] == table["drive.angle"][100]
     assert fresh["drive.speed"][0] == 8.0
 
