@@ -28,7 +28,12 @@ from mbd_ros.applications.demo.page import Table as SummaryTable
 from mbd_ros.applications.demo.panels import BLACK, BLUE, ORANGE, line, name, picture
 from mbd_ros.applications.demo.task import TWIN
 from mbd_ros.core.state import Array, State
-from mbd_ros.features.estimation.estimation import EFFORTS, Estimation, estimation_of, made_ready
+from mbd_ros.features.estimation.estimation import (
+    EFFORTS,
+    Estimation,
+    build_estimation,
+    prepare_scene,
+)
 from mbd_ros.features.estimation.faults import FaultNaming
 from mbd_ros.features.estimation.state_reconstruction import Determinations
 from mbd_ros.features.estimation.task import EstimateTask
@@ -173,7 +178,7 @@ class TwinNumbers:
 
 def _run(scene: Scene, fault: str) -> Run:
     task = EstimateTask(disturbance=None)
-    estimation = estimation_of(scene, task, ["crank"], ())
+    estimation = build_estimation(scene, task, ["crank"], ())
     system, rng = estimation.process.simulation.system, np.random.default_rng(SEED)
     press, tracker = _Press(scene, fault), _tracker(estimation)
     naming = _naming(scene, estimation)
@@ -184,14 +189,14 @@ def _run(scene: Scene, fault: str) -> Run:
         u = u.copy()
         u[slot] = [torque[0], 0.0, 0.0]
         noise = scene.sensors[0].noise  # type: ignore[attr-defined]
-        tracker.take(k * STEP, x.q[:1] + noise * rng.standard_normal(1), u)
+        tracker.add_sample(k * STEP, x.q[:1] + noise * rng.standard_normal(1), u)
         belief = tracker.belief
         found = system.expand(belief.x)
         now = system.evaluate(found, u)
         closest = min(closest, ahead.at(belief.x, system.integrated(now.a)).time)
         lacking = estimation.unknown_efforts(found)
         naming.add(found, u, lacking, np.sqrt(belief.P.diagonal()[-len(lacking) :]))
-        what = naming.named().name
+        what = naming.diagnose().name
         if what != named[-1][1]:
             named.append((k * STEP, what))
         rows.append([k * STEP, *x.q, *found.q, *force, *now.lam[:2], lacking[0], torque[0]])
@@ -246,7 +251,9 @@ def _tracker(estimation: Estimation) -> Tracker:
 
 def _naming(scene: Scene, found: Estimation) -> FaultNaming:
     systems = {
-        name: made_ready(with_numbers(scene, dict(numbers)), found.task, found.disturbed).system()
+        name: prepare_scene(
+            with_numbers(scene, dict(numbers)), found.task, found.disturbed
+        ).system()
         for name, numbers in HYPOTHESES.items()
     }
     at = np.array([scene.robot.joint(name).v for name in found.disturbed], dtype=np.intp)

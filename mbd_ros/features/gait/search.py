@@ -67,7 +67,7 @@ def search_gaits(family: SceneFamily, say: Say) -> list[Gait]:
 
 def build_guesses(scene: Scene, task: GaitTask, flow: SimulatedFlow) -> Iterator[State]:
     """Yield initial states: those of the scene or of the task, then those of its grid."""
-    given = task.build_guesses or ({},)
+    given = task.guesses or ({},)
     initial = scene.entries.get("initial") or {}
     for i, guess in enumerate(given):
         if not guess:

@@ -91,7 +91,7 @@ class GaitTask:
     event: str | None = None
     travel: tuple[str, ...] | None = None
     cycles: int = 1
-    build_guesses: tuple[Mapping[str, Any], ...] = ()
+    guesses: tuple[Mapping[str, Any], ...] = ()
     search: tuple[Grid, ...] = ()
     longest: float = 30.0
     integrator: Mapping[str, Any] = field(default_factory=lambda: dict(ACCURATE))
@@ -132,7 +132,7 @@ def _task(
     event: str | None = None,
     travel: Sequence[str] | None = None,
     cycles: Count = 1,
-    build_guesses: Sequence[Mapping[str, Any]] = (),
+    guesses: Sequence[Mapping[str, Any]] = (),
     search: Mapping[str, Any] | None = None,
     longest: Longest = 30.0,
     integrator: Mapping[str, Any] | None = None,
@@ -142,7 +142,7 @@ def _task(
 ) -> GaitTask:
     if integrator is not None:
         build_part("integrators", integrator, f"{where}.integrator")
-    for i, guess in enumerate(build_guesses):
+    for i, guess in enumerate(guesses):
         for key in guess:
             if key not in _START_KEYS:
                 raise SceneError(
@@ -162,7 +162,7 @@ def _task(
         event,
         None if travel is None else tuple(travel),
         cycles,
-        tuple(build_guesses),
+        tuple(guesses),
         _grids(search or {}, f"{where}.search"),
         longest,
         dict(ACCURATE if integrator is None else integrator),

@@ -116,12 +116,12 @@ class ProjectorPipeline:
 
     def held(self) -> Sequence[str]:
         """Joints that keep their last position: the newest joint state lacked them."""
-        return self.reconstructor.held
+        return self.reconstructor.held_joints
 
     def details(self) -> dict[str, str]:
         """Origin of the newest state, for diagnostics."""
         robot, newest = self.scene.robot, self._newest
-        held, missing = self.reconstructor.held, self.reconstructor.missing
+        held, missing = self.reconstructor.held_joints, self.reconstructor.missing
         solves, qp = self._projector.statistics
         position, velocity, excess = (f"{value:.6g}" for value in self._worst)
         return {

@@ -14,10 +14,10 @@ import numpy as np
 from mbd_ros.core.contracts import without_multiplier
 from mbd_ros.core.loads.external_loads import WrenchBuffer
 from mbd_ros.core.state import NANOSECOND, NONE, Array, Evaluation, State
-from mbd_ros.features.estimation.estimation import EFFORTS, Estimation, estimation_of
+from mbd_ros.features.estimation.estimation import EFFORTS, Estimation, build_estimation
 from mbd_ros.features.estimation.faults import Consistency
-from mbd_ros.features.estimation.tracker import LagWindow, Taken, Tracker
-from mbd_ros.features.estimation.unknowns import inner
+from mbd_ros.features.estimation.tracker import LagWindow, SampleOutcome, Tracker
+from mbd_ros.features.estimation.unknowns import scene_sensor
 from mbd_ros.methods.estimation.process import Belief
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.shell.sensor_messages import sensor_messages
@@ -58,7 +58,9 @@ class EstimateMessages(NamedTuple):
     innovations: bytes
 
 
-Answer = list[EstimateMessages] | Taken  # estimates that are due, or what became of the sample
+Answer = (
+    list[EstimateMessages] | SampleOutcome
+)  # estimates that are due, or what became of the sample
 _MOST_LAG = 1.0  # s of work by which answers may lag behind before late samples are left out
 _REWIND = 1.0  # s, by which wrenches are older where time begins anew
 
@@ -89,7 +91,7 @@ class EstimatorPipeline:
         names = [joint.name for joint in scene.robot.joints]
         measured = list(values.measured) or names
         refuse_unknown(measured, names)
-        self.estimation = found = estimation_of(
+        self.estimation = found = build_estimation(
             scene, task_of(values), measured, measured if values.velocities else ()
         )
         self.joints = JointStateReader(names)
@@ -97,7 +99,7 @@ class EstimatorPipeline:
         sensors = found.process.sensors
         pairs = list(zip(sensors.sensors, sensors.slices, strict=True))
         at = {name: i for i, name in enumerate(names)}
-        own = [(inner(s), mine) for s, mine in pairs]
+        own = [(scene_sensor(s), mine) for s, mine in pairs]
         self._of_joints = [
             [(at[s.frame], mine.start) for s, mine in own if isinstance(s, kind)]
             for kind in (Encoder, Tachometer, Effort)
@@ -180,7 +182,7 @@ class EstimatorPipeline:
             DivergedError: The prediction is no longer finite.
         """
         if self.tracker is None:
-            return Taken.OLD
+            return SampleOutcome.OLD
         values = np.full(self.estimation.process.sensors.m, np.nan)
         values[self._slices[name]] = measured
         return self._taken(stamp, values, self._newest_u, self.joints.absent)
@@ -190,7 +192,7 @@ class EstimatorPipeline:
         self._lag = max(0.0, self._lag - (perf_counter() - self._ended))
         is_hurried = self._lag > _MOST_LAG
         if is_hurried and self.tracker is None:
-            return Taken.OLD
+            return SampleOutcome.OLD
         advance = 0.0
         try:
             if self.tracker is None:
@@ -203,12 +205,12 @@ class EstimatorPipeline:
             self._late += estimator.is_late
             self._newest_u = u
             self.tracker.is_hurried = is_hurried
-            taken = self.tracker.take(t, values, u)
+            taken = self.tracker.add_sample(t, values, u)
             self._debt = max(0.0, self._debt + perf_counter() - asked - advance)
         finally:
             self._ended, spent = perf_counter(), thread_time() - began
             self._lag = max(0.0, self._lag + spent - min(advance, self._values.max_age))
-        if taken is not Taken.USED:
+        if taken is not SampleOutcome.USED:
             return taken
         self.newest, consistency = stamp, self.tracker.watch.consistency()
         if self.tracker.window is None:
@@ -241,7 +243,7 @@ class EstimatorPipeline:
         """WARN where sensors are faulty, innovations are wrong, or there is no time."""
         if self.tracker is None:
             return OK, "nothing measured yet"
-        belief, faults = self.tracker.belief, self.tracker.faults.found()
+        belief, faults = self.tracker.belief, self.tracker.faults.active_faults()
         reasons = [f"{name}: {what}" for name, what in faults.items()]
         if given_up := self._given_up():
             reasons.append(f"beyond limits, which do not count: {given_up}")
@@ -280,7 +282,7 @@ class EstimatorPipeline:
             "mean square of innovations": f"{consistency.nis:.4g}, {low:.4g} .. {high:.4g} for a "
             "right model",
             "correlation of innovations": f"{consistency.correlation:.4g}",
-            "sensor faults": ", ".join(self.tracker.faults.found()) or "none",
+            "sensor faults": ", ".join(self.tracker.faults.active_faults()) or "none",
             "began anew": str(self.tracker.restarts),
         }
 

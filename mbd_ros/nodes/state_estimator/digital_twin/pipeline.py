@@ -13,10 +13,10 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.model.robot import child_link
 from mbd_ros.core.state import NANOSECOND, Array, State
 from mbd_ros.errors import MbdError
-from mbd_ros.features.estimation.estimation import Estimation, made_ready
-from mbd_ros.features.estimation.faults import Cusum, FaultNaming, Named
+from mbd_ros.features.estimation.estimation import Estimation, prepare_scene
+from mbd_ros.features.estimation.faults import Cusum, Diagnosis, FaultNaming
 from mbd_ros.features.estimation.state_reconstruction import Determination, Determinations
-from mbd_ros.features.estimation.tracker import Taken
+from mbd_ros.features.estimation.tracker import SampleOutcome
 from mbd_ros.methods.inverse_dynamics.reactions import SystemReactions
 from mbd_ros.nodes.shell.parameters import ParameterError
 from mbd_ros.nodes.state_estimator.pipeline import Answer, EstimatorPipeline, refuse_unknown
@@ -81,17 +81,17 @@ class TwinPipeline(EstimatorPipeline):
         """Forget the past, that of the watches too."""
         super().forget()
         self.determination = Determination(0.0, 1.0, math.inf)
-        self.fault = Named("", {}, 0.0)
+        self.fault = Diagnosis("", {}, 0.0)
         self._began = 0.0
         if self._cusum is not None:
-            self._cusum.forget()
+            self._cusum.reset()
             if self._naming is not None:
-                self._naming.forget()
+                self._naming.reset()
 
     def answer(self, stamp: int, sample: JointSample) -> Answer:
         """Messages for a joint state, whose measurements are watched for faults."""
         answer = super().answer(stamp, sample)
-        if not isinstance(answer, Taken):
+        if not isinstance(answer, SampleOutcome):
             self._watch(sample)
         return answer
 
@@ -107,7 +107,7 @@ class TwinPipeline(EstimatorPipeline):
             nz = len(belief.x.z)
             spread = np.sqrt(belief.P.diagonal()[-nz:][self.estimation.disturbance])
             self._naming.add(now.x, self._newest_u, lacking, spread)
-            self.fault = self._naming.named()
+            self.fault = self._naming.diagnose()
 
     def _off(self, x: State, sample: JointSample) -> Array:
         """Measured less predicted of joints that do not count, in deviations."""
@@ -221,7 +221,7 @@ def hypothesis_systems(scene: Scene, found: Estimation, texts: Sequence[str]) ->
             raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}")
         try:
             changed = with_numbers(scene, _numbers(text, given))
-            systems[name.strip()] = made_ready(changed, found.task, found.disturbed).system()
+            systems[name.strip()] = prepare_scene(changed, found.task, found.disturbed).system()
         except MbdError as error:
             raise ParameterError(f"hypotheses: '{text}': {error}") from error
     return systems
