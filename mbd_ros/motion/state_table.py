@@ -14,7 +14,7 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.errors import DivergedError, MbdError, SolveError
 from mbd_ros.files.table import TIME, Column, Table
 from mbd_ros.methods.projection.assembly import violation
-from mbd_ros.methods.simulation.shown_accelerations import Seen, seen_at
+from mbd_ros.methods.simulation.sample_accelerations import SampleAccelerations, accelerations_at
 from mbd_ros.methods.simulation.simulation import Simulation
 from mbd_ros.motion.columns import (
     body_columns,
@@ -66,7 +66,7 @@ def table_of(
     try:
         with np.errstate(over="ignore", invalid="ignore"):
             for x, known in itertools.zip_longest(states, forces):
-                seen = seen_at(simulation, x, None, known)
+                seen = accelerations_at(simulation, x, None, known)
                 rows.append(_row(system, showing, x, seen))
                 means += [x.t] * seen.is_mean
     except SolveError as error:
@@ -140,7 +140,7 @@ def _commands(system: System, times: Array) -> list[Column]:
     return [*found, *(Column(name, u[:, a.u.start], a.inputs[0].unit) for a, name in excited)]
 
 
-def _row(system: System, showing: Showing, x: State, seen: Seen) -> tuple[Any, ...]:
+def _row(system: System, showing: Showing, x: State, seen: SampleAccelerations) -> tuple[Any, ...]:
     """Time, q, v, a, effort, outputs and balance of one state."""
     y, (a, lam, _) = system.reduce(x), seen
     balance = system.energy(y), *violation(during(system, y), y)

@@ -244,7 +244,7 @@ class _Press:
 
 def _tracker(estimation: Estimation) -> Tracker:
     process, first = estimation.process, estimation.scene.initial
-    y = process.near(process.consistent(first), np.array([first.q[0]]), estimation.prior)
+    y = process.fit_state(process.consistent(first), np.array([first.q[0]]), estimation.prior)
     estimation.estimator.begin(y, estimation.prior, 0.0)
     return Tracker(estimation.estimator, process.sensors)
 

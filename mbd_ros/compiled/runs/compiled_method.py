@@ -23,7 +23,7 @@ from mbd_ros.methods.integration.adapted_steps import TurnedSteps
 from mbd_ros.methods.integration.linear_motion import LinearMotion
 from mbd_ros.methods.integration.stepping import Integrator
 from mbd_ros.methods.projection.assembly import Stabilization
-from mbd_ros.methods.simulation.checked_steps import happenings, prepared
+from mbd_ros.methods.simulation.checked_steps import event_sources, prepare_stepper
 
 Say = Callable[[str], None]
 
@@ -42,7 +42,7 @@ class NativeMethod(Integrator):
             dict for every system.
 
     Attributes:
-        traced: The symbolic form of the system that was prepared last.
+        traced: The symbolic form of the system that was prepare_stepper last.
         library: What it was compiled to.
     """
 
@@ -97,7 +97,7 @@ class CompiledMethod(NativeMethod):
         if not self.method.native:
             name = type_name(type(self.method))
             raise Untraceable(f"integrator {name} takes no compiled steps")
-        rows, guards = happenings(system)
+        rows, guards = event_sources(system)
         if guards or (rows and not self.method.event_driven):
             raise Untraceable(f"steps stop at events of {', '.join((*rows, *guards))}")
         stabilization = type(self._stabilization)
@@ -120,7 +120,7 @@ class CompiledMethod(NativeMethod):
             ModelError: The method does not serve the system.
         """
         self.refuse(system)
-        plain, form = prepared(self.method, system, dt), None
+        plain, form = prepare_stepper(self.method, system, dt), None
         if isinstance(system, InWorldAxes):
             plain, form = TurnedSteps(system, plain), system
         self.traced, sizes, self.library = built = self._built(system, dt)

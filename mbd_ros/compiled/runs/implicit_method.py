@@ -24,7 +24,7 @@ from mbd_ros.core.dynamics.system import System
 from mbd_ros.core.state import NONE, Array, State
 from mbd_ros.errors import MbdError
 from mbd_ros.methods.integration.stepping import Stepper
-from mbd_ros.methods.simulation.checked_steps import happenings, prepared
+from mbd_ros.methods.simulation.checked_steps import event_sources, prepare_stepper
 
 _SEED = 22
 _STEP = 1.0e-4  # along a direction of length 1: differences are good to 1e-6
@@ -50,7 +50,7 @@ class ImplicitMethod(NativeMethod):
         Raises:
             Untraceable: Names it.
         """
-        names = [name for names in happenings(system) for name in names]
+        names = [name for names in event_sources(system) for name in names]
         if names:
             raise Untraceable(f"steps stop at events of {', '.join(names)}")
 
@@ -63,7 +63,7 @@ class ImplicitMethod(NativeMethod):
             ModelError: The method does not serve the system.
         """
         self.refuse(system)
-        prepared(self.method, system, dt)  # the method speaks before the compiler works
+        prepare_stepper(self.method, system, dt)  # the method speaks before the compiler works
         key = self.method.asks, self._stabilization.gains(dt)
         if key not in self._kept:
             traced = _traced(system)
@@ -71,7 +71,7 @@ class ImplicitMethod(NativeMethod):
             self._kept[key] = traced, library
         self.traced, self.library = self._kept[key]
         compiled = CompiledSystem(system, self.traced, self.library)
-        return prepared(self.method, compiled, dt)
+        return prepare_stepper(self.method, compiled, dt)
 
 
 def _traced(system: System) -> Traced:

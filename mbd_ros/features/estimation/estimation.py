@@ -87,7 +87,7 @@ class Estimation:
             part = _disturbance(self.scene)
             z[part.efforts.stop : part.z.stop] = _UNKNOWN_RATE * self.scale[at]
         z[list(self.parameters.values())] = list(self.deviations.values())
-        lower = tangent.lowered(self.process.start)
+        lower = tangent.restriction(self.process.start)
         P: Array = (lower * np.concatenate((deviation, z)) ** 2).dot(lower.T)
         return P
 

@@ -20,7 +20,12 @@ from mbd_ros.files.table import MAIN, TIME, Column, Result, Table
 from mbd_ros.files.text_file import check_place, refuse_overwriting
 from mbd_ros.jobs.arguments import about
 from mbd_ros.jobs.progress import Say, Watch, progress, watching
-from mbd_ros.methods.estimation.kalman_filter import Filtered, KalmanFilter, lagged, smoothed
+from mbd_ros.methods.estimation.kalman_filter import (
+    FilterSample,
+    KalmanFilter,
+    smooth,
+    smooth_with_lag,
+)
 from mbd_ros.motion.columns import (
     body_columns,
     joint_columns,
@@ -135,7 +140,7 @@ class EstimationResult(NamedTuple):
     """
 
     estimation: Estimation
-    samples: list[Filtered]
+    samples: list[FilterSample]
     inputs: list[Array | None]
     watch: InnovationWatch
     faults: dict[str, tuple[str, int]]
@@ -169,12 +174,12 @@ def run_estimate(
         say(line)
     if isinstance(estimation.estimator, KalmanFilter):
         if task.lag is None:
-            smooth = smoothed(estimation.process, outcome.samples)
+            beliefs = smooth(estimation.process, outcome.samples)
         else:
-            smooth = lagged(estimation.process, outcome.samples, task.lag)
+            beliefs = smooth_with_lag(estimation.process, outcome.samples, task.lag)
         samples = [
             s._replace(belief=b._replace(innovation=s.belief.innovation))
-            for s, b in zip(outcome.samples, smooth, strict=True)
+            for s, b in zip(outcome.samples, beliefs, strict=True)
         ]
         outcome = outcome._replace(samples=samples)
     return outcome
@@ -194,11 +199,11 @@ def _filter(
     process, estimator = estimation.process, estimation.estimator
     first = estimation.scene.initial._replace(t=float(times[0]))
     with about(where):
-        y = process.near(process.consistent(first), values[0], estimation.prior)
+        y = process.fit_state(process.consistent(first), values[0], estimation.prior)
         estimator.begin(y, estimation.prior, float(times[0]))
     tracker = Tracker(estimator, process.sensors, memory=0.0)
     tracker.watch = InnovationWatch(len(times))
-    samples, faults = list[Filtered](), dict[str, tuple[str, int]]()
+    samples, faults = list[FilterSample](), dict[str, tuple[str, int]]()
     for k, t in progress(enumerate(times.tolist()), len(times), "estimate"):
         try:
             with np.errstate(over="ignore", invalid="ignore"):  # the belief is checked below
@@ -209,7 +214,7 @@ def _filter(
         if not np.isfinite(belief.P).all():
             raise SolveError(f"{where}: at t = {t:.9g} s: the estimate is not finite")
         is_filter = isinstance(estimator, KalmanFilter)
-        samples.append(estimator.sample if is_filter else Filtered(None, belief, belief))
+        samples.append(estimator.sample if is_filter else FilterSample(None, belief, belief))
         for name, what in tracker.faults.active_faults().items():
             faults[name] = what, faults.get(name, ("", 0))[1] + 1
     return EstimationResult(estimation, samples, inputs, tracker.watch, faults, tracker.restarts)
@@ -323,7 +328,7 @@ def _drive_inputs(estimation: Estimation, motion: Motion, say: Say) -> Array | N
 
 
 def sample_table(
-    estimation: Estimation, samples: Sequence[Filtered], inputs: Sequence[Array | None]
+    estimation: Estimation, samples: Sequence[FilterSample], inputs: Sequence[Array | None]
 ) -> Table:
     """Return a table of the estimated motion, outputs of parts, and deviations.
 
@@ -348,7 +353,7 @@ def sample_table(
         a.append(now.a)
         effort.append(loads.actuator_torque(system.k, x, known))
         outputs.append(showing.at(x, known, now.a, now.lam))
-        of_joints = tangent.of_all_joints(belief.x)
+        of_joints = tangent.lift_to_joints(belief.x)
         spread = np.einsum("ij,jk,ik->i", of_joints, belief.P, of_joints)
         z = belief.P.diagonal()[len(belief.P) - len(x.z) :]
         deviation.append(np.sqrt(np.maximum(np.concatenate((spread, z)), 0.0)))
@@ -389,7 +394,7 @@ def _deviations(
     return columns
 
 
-def innovation_table(estimation: Estimation, samples: Sequence[Filtered]) -> Table:
+def innovation_table(estimation: Estimation, samples: Sequence[FilterSample]) -> Table:
     """Return a table of innovations over their expected deviation, and of their NIS.
 
     Args:

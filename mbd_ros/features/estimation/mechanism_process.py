@@ -20,8 +20,8 @@ from mbd_ros.core.state import Array, Evaluation, State
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError, SolveError
 from mbd_ros.features.estimation.unknowns import UnknownInertias, UnknownMass
-from mbd_ros.methods.estimation.kalman_update import updated
-from mbd_ros.methods.estimation.process import Bounded, Observation, SensorSet, Transition
+from mbd_ros.methods.estimation.kalman_update import compute_update
+from mbd_ros.methods.estimation.process import Observation, SensorSet, StateBounds, Transition
 from mbd_ros.methods.estimation.state_tangent import StateTangent
 from mbd_ros.methods.simulation.simulation import Simulation
 
@@ -104,7 +104,7 @@ class MechanismProcess:
         """
         return self.simulation.start(x, self._system.loads.sources.held(x.t))
 
-    def near(self, x: State, values: Array, P: Array) -> State:
+    def fit_state(self, x: State, values: Array, P: Array) -> State:
         """Return the consistent state that fits a measurement, starting from x.
 
         Short steps keep the branches of loops. Quantities without a measurement change as little
@@ -122,7 +122,7 @@ class MechanismProcess:
         for _ in range(_SEARCHES):
             observation = self.sensors.observe(y, None, self.tangent)
             error = self.sensors.near(values, observation.y) - observation.y
-            step = updated(P, observation.H, observation.R, error).step
+            step = compute_update(P, observation.H, observation.R, error).step
             longest = float(np.abs(step).max())
             if not longest <= _FARTHEST:
                 raise SolveError(
@@ -144,7 +144,7 @@ class MechanismProcess:
         """
         self._inertias.write(x.z)
         count = max(1, math.ceil((t - x.t) / _PIECE - 1.0e-9))
-        lift, flow, y, before = self.tangent.lifted(x), None, self._settled(x, u), x.t
+        lift, flow, y, before = self.tangent.lift(x), None, self._settled(x, u), x.t
         for i in range(1, count + 1):
             end = t if i == count else before + i * (t - before) / count
             slopes = self._system.derivatives(y, u, inputs=False)
@@ -154,9 +154,9 @@ class MechanismProcess:
         assert flow is not None
         pushed = self._disturbance_response(y, u, slopes.force, t - before)
         noise = np.diag(self._density**2 / (t - before))
-        if self.tangent.is_whole:
+        if self.tangent.is_unconstrained:
             return Transition(y, flow, pushed, noise)
-        lower = self.tangent.lowered(y)
+        lower = self.tangent.restriction(y)
         return Transition(y, lower.dot(flow).dot(lift), lower.dot(pushed), noise)
 
     def observe(self, x: State, u: Array | None) -> Observation:
@@ -175,22 +175,22 @@ class MechanismProcess:
         """Return the state at another time, at rest."""
         return x._replace(t=t, v=np.zeros(x.v.shape))
 
-    def unforeseen(self, acceleration: float, dt: float) -> Array:
+    def unmodelled_variance(self, acceleration: float, dt: float) -> Array:
         """Return variances of unforeseen accelerations, 0 for internal states, shape (n,)."""
         deviations = acceleration * np.array((0.5 * dt * dt, dt, 0.0))
         return (deviations**2)[self.tangent.levels]
 
-    def turned(self, x0: State, x1: State) -> Array | None:
+    def transport(self, x0: State, x1: State) -> Array | None:
         """Return the map from tangent steps at x0 to those at a near state, or None for unity."""
-        return self.tangent.turned(x0, x1)
+        return self.tangent.transport(x0, x1)
 
-    def bounded(self, x: State) -> Bounded:
+    def bounds(self, x: State) -> StateBounds:
         """Return the limits of joints and the bounds of internal states, at a state."""
         return self._limits.at(x)
 
     @property
     def bounded_names(self) -> tuple[str, ...]:
-        """Names of the bounded quantities, in the order of `bounded`."""
+        """Names of the bounded quantities, in the order of `bounds`."""
         return self._limits.names
 
     def _settled(self, x: State, u: Array | None) -> State:
@@ -291,19 +291,19 @@ class StateLimits:
         )
         self._is_soft = np.arange(len(self._lower)) < len(limited) + len(quick)
 
-    def at(self, y: State) -> Bounded:
+    def at(self, y: State) -> StateBounds:
         """Return values at a state, and their derivatives by a tangent step."""
         n, nv = self._tangent.n, self._system.robot.model.nv
         if not len(self._lower):
-            return Bounded(self._lower, np.zeros((0, n)), self._lower, self._upper)
+            return StateBounds(self._lower, np.zeros((0, n)), self._lower, self._upper)
         x = self._system.expand(y)
         by = self._constant_derivative
         if by is None:
-            lift = self._tangent.of_all_joints(y)
+            lift = self._tangent.lift_to_joints(y)
             rows = np.zeros((len(self._z), n))
             rows[np.arange(len(self._z)), n - len(y.z) + self._z] = 1.0
             by = np.vstack((lift[self._qv], lift[nv:][self._v], rows))
-            if self._tangent.is_whole and self._system.nv == nv:
+            if self._tangent.is_unconstrained and self._system.nv == nv:
                 self._constant_derivative = by  # the same everywhere
         values = np.concatenate((x.q[self._q], x.v[self._v], x.z[self._z]))
-        return Bounded(values, by, self._lower, self._upper, self._is_soft)
+        return StateBounds(values, by, self._lower, self._upper, self._is_soft)

@@ -8,7 +8,7 @@ import numpy as np
 
 from mbd_ros.core.state import Array
 from mbd_ros.features.estimation.faults import InnovationWatch, SensorFaults
-from mbd_ros.methods.estimation.kalman_filter import Filtered, KalmanFilter, smoothed
+from mbd_ros.methods.estimation.kalman_filter import FilterSample, KalmanFilter, smooth
 from mbd_ros.methods.estimation.process import Belief, Estimator, Measurement, Process, SensorSet
 
 _COINCIDENT = 1.0e-9  # [s] within which two samples are one
@@ -153,11 +153,11 @@ class Tracker:
         estimator, process = self.estimator, self.estimator.process
         longest = self._patience if self.is_hurried else self._longest
         if dt > min(longest, max(self._patience, _GAP * self._mean_interval)):
-            variance = process.unforeseen(self._agility, min(dt, self._max_age))
+            variance = process.unmodelled_variance(self._agility, min(dt, self._max_age))
             P = self.belief.P + np.diag(variance)
             x = process.at_rest(self.belief.x, t)
             if not self.is_hurried:
-                x = process.near(x, values, P)
+                x = process.fit_state(x, values, P)
             estimator.begin(x, P, t)
             return
         mean = dt if self._mean_interval == np.inf else self._mean_interval
@@ -171,7 +171,7 @@ class Tracker:
         """
         self.restarts += 1
         estimator = self.estimator
-        x = estimator.process.near(self.belief.x, values, self._prior)
+        x = estimator.process.fit_state(self.belief.x, values, self._prior)
         estimator.begin(x, self._prior, t)
         belief = estimator.correct(Measurement(t, values))
         self._steps.clear()
@@ -217,10 +217,10 @@ class LagWindow:
         self._process = process
         self._lag = lag
         self._reported_until = -np.inf
-        self._samples = list[Filtered]()
+        self._samples = list[FilterSample]()
         self._inputs = list[Array | None]()
 
-    def add(self, sample: Filtered, u: Array | None) -> None:
+    def add(self, sample: FilterSample, u: Array | None) -> None:
         """Add the newest sample; one at the time of the last sample replaces its belief."""
         if self._samples and sample.belief.t <= self._samples[-1].belief.t + _COINCIDENT:
             self._samples[-1] = self._samples[-1]._replace(belief=sample.belief)
@@ -244,7 +244,7 @@ class LagWindow:
         if not count:
             return []
         self._reported_until = self._samples[count - 1].belief.t
-        pairs = zip(smoothed(self._process, self._samples), self._inputs, strict=True)
+        pairs = zip(smooth(self._process, self._samples), self._inputs, strict=True)
         estimates = [Delayed(belief, u) for belief, u in pairs][:count]
         del self._samples[:count], self._inputs[:count]
         return estimates

@@ -239,7 +239,7 @@ class PhaseSteps(Stepper):
 
     Args:
         system: The systems of the phases.
-        stepper_of: Makes the steps of a system.
+        build_stepper: Makes the steps of a system.
 
     Attributes:
         phases: What ends each, and what follows.
@@ -254,13 +254,13 @@ class PhaseSteps(Stepper):
     def __init__(
         self,
         system: PhasedSystem,
-        stepper_of: Callable[[Any], Stepper],
+        build_stepper: Callable[[Any], Stepper],
     ) -> None:
         self.system = system
         phases: tuple[Phase, ...] = system.phases
         self.phases = phases
-        self._stepper_of = stepper_of
-        self._steppers = [stepper_of(one) for one in system.systems]
+        self._stepper_of = build_stepper
+        self._steppers = [build_stepper(one) for one in system.systems]
         self._used = set[int]()
         self.is_fixed = self.ends_at_samples = self._steppers[0].is_fixed
         timed = (label(p, e.name) for p in phases for e in p.exits if e.after is not None)

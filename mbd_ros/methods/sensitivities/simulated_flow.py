@@ -29,7 +29,7 @@ from mbd_ros.methods.integration.stepping import Integrator, Stepper
 from mbd_ros.methods.projection.assembly import Stabilization, project, violation
 from mbd_ros.methods.sensitivities.flow import Segment
 from mbd_ros.methods.sensitivities.saltation import slope
-from mbd_ros.methods.simulation.checked_steps import CheckedSteps, happenings, prepared
+from mbd_ros.methods.simulation.checked_steps import CheckedSteps, event_sources, prepare_stepper
 
 _MOST = 50  # steps that close a mechanism with given joints
 _UNBOUNDED = 1.0e9  # s: steps end where they are told
@@ -271,10 +271,10 @@ class SmoothMotion:
 
     def __init__(self, system: System, dt: float) -> None:
         self.system = system
-        self._steps = prepared(_GivenSteps(), system, _UNBOUNDED)
+        self._steps = prepare_stepper(_GivenSteps(), system, _UNBOUNDED)
         self._field: ModeField | None = None
         self._transitions: Transitions | None = None
-        rows, guards = happenings(system)
+        rows, guards = event_sources(system)
         if rows or guards:
             self._field = ModeField(system, with_surfaces=False)
             self._transitions = Transitions(self._field, dt)

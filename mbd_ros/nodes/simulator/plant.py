@@ -113,7 +113,7 @@ class Plant:
         watch = self.live.watch
         if not (self.has_actuators and watch.is_safe):
             return ""
-        since = "yet" if watch.held is None else f"for {watch.age:.3g} s"
+        since = "yet" if watch.last is None else f"for {watch.age:.3g} s"
         return f"no command {since}, instead: {self.scene.safe}"
 
     def hear(self, name: str, msg: Any) -> None:
@@ -141,7 +141,7 @@ class Plant:
         return [
             f"no wrench '{name}' for {watch.age:.3g} s, instead: none"
             for name, watch in self.heard.items()
-            if watch.held is not None and watch.is_safe
+            if watch.last is not None and watch.is_safe
         ]
 
     def joint_states(self, stamp: int) -> list[bytes]:
@@ -188,7 +188,7 @@ class Plant:
         """Contents and origin of the motion, for diagnostics."""
         robot, live, watch = self.scene.robot, self.live, self.live.watch
         system, violation = live.simulation.system, live.violation()
-        unheard = [name for name, one in self.heard.items() if one.held is None]
+        unheard = [name for name, one in self.heard.items() if one.last is None]
         details = {
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
@@ -199,8 +199,8 @@ class Plant:
             "drift of velocities": f"{violation.velocity:.3g}",
             "commands received": str(watch.received),
             "commands superseded before a tick": str(watch.superseded),
-            "age of the last command": "none" if watch.held is None else f"{watch.age:.6g}",
-            "share of the safe command": "1" if watch.held is None else f"{watch.weight:.6g}",
+            "age of the last command": "none" if watch.last is None else f"{watch.age:.6g}",
+            "share of the safe command": "1" if watch.last is None else f"{watch.weight:.6g}",
             "safe command": str(self.scene.safe),
         }
         if live.phase:

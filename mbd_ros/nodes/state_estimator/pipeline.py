@@ -227,7 +227,7 @@ class EstimatorPipeline:
         first = start._replace(t=0.0, v=start.v.copy())
         told = np.flatnonzero(np.isfinite(velocity))
         first.v[[self._v[i] for i in told]] = velocity[told]
-        y = found.process.near(found.process.consistent(first), values, found.prior)
+        y = found.process.fit_state(found.process.consistent(first), values, found.prior)
         found.estimator.begin(y, found.prior, 0.0)
         options = {name: getattr(kept, name) for name in TRACKER}
         longest = max(kept.max_age, kept.patience)
@@ -385,11 +385,11 @@ class EstimateWriter:
         if self._whole is not None:
             return self._whole
         tangent, nz = self._estimation.process.tangent, len(y.z)
-        lift, nv = tangent.of_all_joints(y), self._system.robot.model.nv
+        lift, nv = tangent.lift_to_joints(y), self._system.robot.model.nv
         rows = np.zeros((2 * len(self._v) + nz, tangent.n))
         rows[: len(rows) - nz] = lift[[*self._v, *(nv + v for v in self._v)]]
         rows[len(rows) - nz :, tangent.n - nz :] = np.eye(nz)
-        if tangent.is_whole:
+        if tangent.is_unconstrained:
             self._whole = rows
         return rows
 

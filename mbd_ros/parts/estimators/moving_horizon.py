@@ -11,9 +11,9 @@ from mbd_ros.core.ranges import NotNegative, Positive, Unit, Within
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import TINY
 from mbd_ros.errors import ModelError, SolveError
-from mbd_ros.methods.estimation.horizon_chain import Answer, Arrival, HorizonChain, Node
+from mbd_ros.methods.estimation.horizon_chain import Arrival, HorizonChain, Node, WindowSolution
 from mbd_ros.methods.estimation.horizon_window import HorizonProgram
-from mbd_ros.methods.estimation.kalman_update import Innovation, Update, updated
+from mbd_ros.methods.estimation.kalman_update import Innovation, Update, compute_update
 from mbd_ros.methods.estimation.process import Belief, Estimator, Measurement, Observation, Process
 
 
@@ -86,7 +86,7 @@ class MovingHorizon(Estimator):
         self._predicted = Arrival(x, self.belief.P)
         self._arrivals = list[Arrival]()
         self._has_prior = True
-        self.answer: Answer | None = None
+        self.answer: WindowSolution | None = None
         self._offsets = np.zeros((0, self.process.n))
         self._chain.released = set()
         return self.belief
@@ -100,8 +100,8 @@ class MovingHorizon(Estimator):
         if disturbance.any():
             x = process.plus(x, motion.G.dot(disturbance))
         if self._nodes:
-            newest = self._nodes[-1] = replace(self._nodes[-1], u=u, going=motion)
-            P = self._chain.ahead(newest, motion) if newest.link is not None else None
+            newest = self._nodes[-1] = replace(self._nodes[-1], u=u, transition=motion)
+            P = self._chain.predict_covariance(newest, motion) if newest.link is not None else None
         else:
             P = None
         if P is None:
@@ -111,20 +111,22 @@ class MovingHorizon(Estimator):
         self.belief = belief._replace(t=t, x=x, P=self._predicted.P)
         return self.belief
 
-    def correct(self, measurement: Measurement, seen: Observation | None = None) -> Belief:
+    def correct(self, measurement: Measurement, observation: Observation | None = None) -> Belief:
         """Correct the belief by a measurement; if `is_late`, by the Kalman filter alone."""
         process, x = self.process, self.belief.x
         values = np.asarray(measurement.values, dtype=np.float64)
         if measurement.used is not None:
             values = np.where(measurement.used, values, np.nan)
-        if seen is None:
-            seen = process.observe(x, self._nodes[-1].u if self._nodes else None)
+        if observation is None:
+            observation = process.observe(x, self._nodes[-1].u if self._nodes else None)
         assert self._predicted.P is not None
-        update = updated(self._predicted.P, seen.H, seen.R, values - seen.y)
+        update = compute_update(
+            self._predicted.P, observation.H, observation.R, values - observation.y
+        )
         self._filtered = update.P
         used = update.innovation.used
-        node = Node(measurement.t, x, np.where(used, values, np.nan), seen=seen)
-        node.bounded = process.bounded(x) if self.keep_bounds else None
+        node = Node(measurement.t, x, np.where(used, values, np.nan), observation=observation)
+        node.bounds = process.bounds(x) if self.keep_bounds else None
         self._nodes.append(node)
         self._arrivals.append(self._predicted)
         self._shorten()
@@ -136,7 +138,7 @@ class MovingHorizon(Estimator):
 
     @property
     def given_up(self) -> list[int]:
-        """Indices, in `Process.bounded`, of the bounds that measurements contradict."""
+        """Indices, in `Process.bounds`, of the bounds that measurements contradict."""
         return sorted(self._chain.released)
 
     def window(self) -> list[Any]:
@@ -172,7 +174,7 @@ class MovingHorizon(Estimator):
             link = self._nodes.pop(0).link
             del self._arrivals[0]
             if link is not None and link.next_x is self._nodes[0].x:
-                self._arrivals[0] = self._arrivals[0]._replace(P=link.ahead_turned)
+                self._arrivals[0] = self._arrivals[0]._replace(P=link.prior)
             self._has_prior = False
 
     def _arrival_cost(self) -> Arrival:
@@ -199,7 +201,7 @@ class MovingHorizon(Estimator):
         self.answer = answer
         return Belief(nodes[-1].t, nodes[-1].x, answer.P, innovation)
 
-    def _take_step(self, answer: Answer) -> bool:
+    def _take_step(self, answer: WindowSolution) -> bool:
         """Move the nodes to a solution and linearise those that moved far.
 
         Returns:
@@ -224,7 +226,7 @@ class MovingHorizon(Estimator):
         nodes[i] = replace(
             node,
             x=x,
-            seen=process.observe(x, nodes[i - 1].u if i else node.u),
-            bounded=process.bounded(x) if self.keep_bounds else None,
-            going=motion,
+            observation=process.observe(x, nodes[i - 1].u if i else node.u),
+            bounds=process.bounds(x) if self.keep_bounds else None,
+            transition=motion,
         )

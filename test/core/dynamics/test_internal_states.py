@@ -694,7 +694,7 @@ def test_a_motor_that_asks_for_short_steps_is_named():
     x = scene.simulation().start(scene.initial)
     watch = StallWatch(system, 1e3, said.append)
     watch.begin(x.t - 1e-6 * WINDOW)
-    watch.look(x, None, 1e5)
+    watch.check(x, None, 1e5)
     assert "drive.speed is stiff with a rate of" in said[0]
 
 

@@ -17,7 +17,7 @@ from mbd_ros.features.estimation.tracker import LagWindow, SampleOutcome, Tracke
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.methods.estimation.horizon_chain import HorizonChain
 from mbd_ros.methods.estimation.horizon_window import HorizonProgram
-from mbd_ros.methods.estimation.kalman_filter import lagged
+from mbd_ros.methods.estimation.kalman_filter import smooth_with_lag
 from mbd_ros.methods.estimation.process import Measurement
 from mbd_ros.parts.estimators.extended_kalman import ExtendedKalman
 from mbd_ros.parts.estimators.moving_horizon import MovingHorizon
@@ -202,7 +202,7 @@ def test_estimates_that_wait_are_those_of_the_smoother_with_that_lag():
     for t, values in samples:
         tracker.add_sample(t, values, None)
         filtered.append(found.estimator.sample)
-    expected = lagged(found.process, filtered, lag + 1e-6)
+    expected = smooth_with_lag(found.process, filtered, lag + 1e-6)
     order = np.arange(40)
     order[10:14], order[20:25] = order[[11, 12, 13, 10]], order[[21, 22, 23, 24, 20]]
     told = waited(found, [samples[k] for k in order], lag)
@@ -465,13 +465,13 @@ def test_a_chain_finds_the_optimum_of_the_whole_program():
     for t, y, values in simulated(found, 20, rng):
         horizon.predict(None, t)
         horizon.correct(Measurement(t, values))
-        true, room = process.bounded(y).values, np.repeat((1e-4, 0.01), 7)
+        true, room = process.bounds(y).values, np.repeat((1e-4, 0.01), 7)
         nodes = []
         for node in horizon._nodes:
-            bounds = process.bounded(node.x)._replace(may_be_wrong=None)
+            bounds = process.bounds(node.x)._replace(can_be_released=None)
             if node is horizon._nodes[-1]:
                 bounds = bounds._replace(lower=true - 0.1 * room, upper=true + room)
-            nodes.append(replace(node, bounded=bounds))
+            nodes.append(replace(node, bounds=bounds))
         ours, theirs = (one.solve(nodes, horizon._arrival_cost()) for one in (chain, program))
         size = np.sqrt(theirs.P.diagonal())
         assert (np.abs(ours.steps - theirs.steps) / size).max() < 1e-7
@@ -537,7 +537,7 @@ def test_a_measurement_that_is_too_far_away_is_refused():
     values = found.process.sensors.values(found.process.start, None)
     far = np.where(np.arange(len(values)) == 0, 1e6, values)
     with pytest.raises(SolveError, match=r"e\+0. rad or m away from the state, but at most 1000"):
-        found.process.near(found.process.start, far, found.prior)
+        found.process.fit_state(found.process.start, far, found.prior)
 
 
 def test_an_innovation_that_is_not_finite_says_nothing():

@@ -115,7 +115,7 @@ class TwinPipeline(EstimatorPipeline):
         robot, values = self.scene.robot, self._values
         rows = [robot.joint(name) for name in self._compared]
         at = [self.joints.names.index(name) for name in self._compared]
-        lift = self.estimation.process.tangent.of_all_joints(self.tracker.belief.x)
+        lift = self.estimation.process.tangent.lift_to_joints(self.tracker.belief.x)
         known = lift[[joint.v for joint in rows]]
         spread = np.einsum("ij,ij->i", known.dot(self.tracker.belief.P), known)
         error = sample.position[at] - x.q[[joint.q for joint in rows]]

@@ -1,9 +1,10 @@
-"""Accelerations and multipliers at a state of a simulation, as people see them beside a motion.
+"""Accelerations and multipliers at the samples of a simulation.
 
-A method that solves for accelerations has them. One that solves for velocities knows which
-contacts press, stick and slip in a step; at the end of it gaps and slips are 0 to the order of the
-method only, so that the state alone does not say it. Accelerations follow from equations with the
-modes of the step. Where there are none (Painlevé's paradox), the mean forces of the step are seen.
+A method at acceleration level computes them. A method at velocity level knows which contacts
+press, stick and slip in a step. At the end of the step, gaps and slips are 0 only to the order of
+the method, so that the state alone does not determine these modes; accelerations are therefore
+computed with the modes of the step. Where no accelerations exist (Painlevé's paradox), the result
+uses the mean forces of the step.
 
 Source: F. Génot, B. Brogliato, New results on Painlevé paradoxes, European Journal of Mechanics
 A/Solids 18, 1999, sec. 2.
@@ -28,43 +29,44 @@ if TYPE_CHECKING:
 
 OPEN: Mode = (1, 1, 1)
 STICKS: Mode = (0, 0, 0)
-_AT_BOUND = 1.0 - 1.0e-9  # of the largest friction: from here on it slips
-_BEYOND = 1.0e-9  # of the largest force: by which a law may be passed
-_NOTHING = 1.0e-12  # of the largest force: rounding
-_LOOKS = 4  # at modes in which a contact passes its law
+_AT_BOUND = 1.0 - 1.0e-9  # share of the largest friction force above which a contact slips
+_TOLERANCE = 1.0e-9  # accepted violation of a contact law, relative to the largest force
+_ROUNDING = 1.0e-12  # relative to the largest force
+_ITERATIONS = 4  # with corrected modes of contacts
 
 
-def seen_at(
+def accelerations_at(
     simulation: Simulation, x: State, u: Array | None = None, forces: Array | None = None
-) -> Seen:
-    """Accelerations and multipliers of a simulation at a state of all joints.
+) -> SampleAccelerations:
+    """Return accelerations and multipliers of a simulation at a state of all joints.
 
     Args:
-        simulation: The simulation; its next step is the same afterwards, to the bit.
-        u: Inputs there; None for those of the sources.
-        forces: `Stepper.forces` of the step that led to the state; None where there was none.
+        simulation: The simulation; its later steps are not affected.
+        x: State of all joints.
+        u: Inputs at x; None for the values of the input sources.
+        forces: `Stepper.forces` of the step that led to x; None if there was no step.
 
     Raises:
-        SolveError: There are none, and the method solves for accelerations.
+        SolveError: No accelerations exist, and the method is not at velocity level.
     """
     if forces is not None:
-        return seen_with(simulation, x, u, forces)
+        return _with_step_modes(simulation, x, u, forces)
     try:
         _, a, _, lam, _ = simulation.system.evaluate(x, u)
     except SolveError:
         if not (simulation.integrator.at_velocity_level and simulation.system.layout.cones):
             raise
-        return seen_ahead(simulation, x, u)
-    return Seen(a, lam)
+        return _with_next_step(simulation, x, u)
+    return SampleAccelerations(a, lam)
 
 
-class Seen(NamedTuple):
-    """What the equations of motion say at a state.
+class SampleAccelerations(NamedTuple):
+    """Accelerations and multipliers at a sample.
 
     Attributes:
         a: Accelerations of all joints, shape (nv,).
         lam: Multipliers of all rows, shape (m,).
-        is_mean: Whether no accelerations exist there: these belong to the mean forces of a step.
+        is_mean: Whether they belong to the mean forces of a step, since no accelerations exist.
     """
 
     a: Array
@@ -72,38 +74,40 @@ class Seen(NamedTuple):
     is_mean: bool = False
 
 
-def seen_with(simulation: Simulation, x: State, u: Array | None, forces: Array) -> Seen:
-    """With the modes of the step that led to a state; arguments as for `seen_at`."""
+def _with_step_modes(
+    simulation: Simulation, x: State, u: Array | None, forces: Array
+) -> SampleAccelerations:
+    """Return the accelerations with the contact modes of the step that led to a state."""
     system = simulation.system
     lam = np.zeros(len(system.layout.rows))
-    lam[_yielding(simulation)] = forces
+    lam[_bounded_slots(simulation)] = forces
     cones = system.layout.cones
-    least = _NOTHING * float(np.abs(lam).max(initial=0.0))
+    least = _ROUNDING * float(np.abs(lam).max(initial=0.0))
     modes = [_mode(cone, lam[cone.slots], least) for cone in cones]
     try:
-        for _ in range(_LOOKS):
-            _, a, _, found, _ = system.evaluate(_in_modes(simulation, x, u, modes), u)
-            most = _BEYOND * float(np.abs(found).max(initial=0.0))
+        for _ in range(_ITERATIONS):
+            _, a, _, lam, _ = system.evaluate(_in_modes(simulation, x, u, modes), u)
+            most = _TOLERANCE * float(np.abs(lam).max(initial=0.0))
             after = [
-                _lawful(cone, mode, found[cone.slots], most)
+                _correct_mode(cone, mode, lam[cone.slots], most)
                 for cone, mode in zip(cones, modes, strict=True)
             ]
             if after == modes:
-                return Seen(a, found)
+                return SampleAccelerations(a, lam)
             modes = after
     except SolveError:
-        pass  # the mean forces are what there is
-    return _with_means(simulation, x, u, forces)
+        pass  # no accelerations exist: use the mean forces
+    return _with_mean_forces(simulation, x, u, forces)
 
 
-def _yielding(simulation: Simulation) -> list[int]:
-    """Slots of the rows that give way."""
+def _bounded_slots(simulation: Simulation) -> list[int]:
+    """Return the slots of the unilateral and bounded rows."""
     blocks = simulation.system.layout.yielding
     return [i for block in blocks for i in range(block.slots.start, block.slots.stop)]
 
 
 def _mode(cone: Cone, force: Array, least: float) -> Mode:
-    """The mode of a contact by its mean force in a step, where the least is none."""
+    """Return the mode of a contact from its mean force; forces up to `least` count as zero."""
     normal, x, y = force.tolist()
     if normal <= least:
         return OPEN
@@ -113,7 +117,7 @@ def _mode(cone: Cone, force: Array, least: float) -> Mode:
 
 
 def _in_modes(simulation: Simulation, x: State, u: Array | None, modes: list[Mode]) -> State:
-    """The state with these modes of contacts, and of other rows those that it decides."""
+    """Return the state with given modes of contacts, and modes of other rows that follow."""
     system = simulation.system
     rows = system.event_rows
     assert rows is not None
@@ -125,13 +129,13 @@ def _in_modes(simulation: Simulation, x: State, u: Array | None, modes: list[Mod
     if any(any(mode) and not mode[0] for mode in modes):
         system.k.refresh(x.q, x.v, Reads.JACOBIAN)
         slips = rows.contacts.slips(system.k, x)
-    entries, of_contacts = list(decided), set[int]()
+    entries, contact_rows = list(decided), set[int]()
     for cone, mode, slip in zip(cones, modes, slips, strict=True):
         first = slots.index(cone.slots.start)
-        goes_on = not mode[0] and any(mode) and slip.dot(mode[1:]) > 0.0
-        entries[first : first + 3] = (0, *initial_name(slip)) if goes_on else mode
-        of_contacts.update(range(first, first + 3))
-    others = [row for row in undecided if row not in of_contacts]
+        keeps_slipping = not mode[0] and any(mode) and slip.dot(mode[1:]) > 0.0
+        entries[first : first + 3] = (0, *initial_name(slip)) if keeps_slipping else mode
+        contact_rows.update(range(first, first + 3))
+    others = [row for row in undecided if row not in contact_rows]
     if others:
         solution = rows.solve(y, u, tuple(entries), others)
         for row in others:
@@ -142,8 +146,8 @@ def _in_modes(simulation: Simulation, x: State, u: Array | None, modes: list[Mod
     return x._replace(mode=tuple(entries))
 
 
-def _lawful(cone: Cone, mode: Mode, force: Array, most: float) -> Mode:
-    """The mode of a contact whose force passes its law no more; the same where it keeps it."""
+def _correct_mode(cone: Cone, mode: Mode, force: Array, most: float) -> Mode:
+    """Return the mode of a contact, changed if its force violates the contact law."""
     normal, x, y = force.tolist()
     if mode[0]:
         return mode
@@ -154,22 +158,24 @@ def _lawful(cone: Cone, mode: Mode, force: Array, most: float) -> Mode:
     return mode
 
 
-def seen_ahead(simulation: Simulation, x: State, u: Array | None) -> Seen:
-    """With the mean forces of the step that begins at a state; arguments as for `seen_at`."""
+def _with_next_step(simulation: Simulation, x: State, u: Array | None) -> SampleAccelerations:
+    """Return accelerations under the mean forces of the step that begins at a state."""
     system, stepper = simulation.system, simulation.stepper
     y, memory = system.reduce(x), stepper.checkpoint()
-    held = system.loads.sources.held(x.t) if u is None else u
-    stepper.step(y, held, y.t + simulation.dt)
+    inputs = system.loads.sources.held(x.t) if u is None else u
+    stepper.step(y, inputs, y.t + simulation.dt)
     forces = stepper.forces
     stepper.restart()
     stepper.restore(memory, y)
     assert forces is not None
-    return _with_means(simulation, x, u, forces)
+    return _with_mean_forces(simulation, x, u, forces)
 
 
-def _with_means(simulation: Simulation, x: State, u: Array | None, forces: Array) -> Seen:
-    """Accelerations under given forces of the rows that give way."""
-    system, slots = simulation.system, _yielding(simulation)
+def _with_mean_forces(
+    simulation: Simulation, x: State, u: Array | None, forces: Array
+) -> SampleAccelerations:
+    """Return accelerations under given forces of the unilateral and bounded rows."""
+    system, slots = simulation.system, _bounded_slots(simulation)
     assert system.event_rows is not None
     now = system.evaluate(x._replace(mode=(1,) * len(system.event_rows.names)), u)
     lam = now.lam.copy()
@@ -178,9 +184,9 @@ def _with_means(simulation: Simulation, x: State, u: Array | None, forces: Array
     force = (forces - now.lam[slots]).dot(J)
     change = now.respond(force[:, None])[:, 0]
     rigid = system.layout.rigid
-    if rigid:  # they answer to it
+    if rigid:  # their multipliers change too
         M = pin.crba(system.model, system.model.createData(), x.q)
         hold = np.concatenate([block.part.jacobian(system.k, x) for block in rigid])
-        own = [i for block in rigid for i in range(block.slots.start, block.slots.stop)]
-        lam[own] += np.linalg.lstsq(hold.T, M.dot(change) - force, rcond=None)[0]
-    return Seen(now.a + change, lam, is_mean=True)
+        rigid_slots = [i for block in rigid for i in range(block.slots.start, block.slots.stop)]
+        lam[rigid_slots] += np.linalg.lstsq(hold.T, M.dot(change) - force, rcond=None)[0]
+    return SampleAccelerations(now.a + change, lam, is_mean=True)
