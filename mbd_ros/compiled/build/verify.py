@@ -117,7 +117,7 @@ def _mode(exact: Any, rng: np.random.Generator) -> Mode:
 def some_inputs(system: System, t: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """Inputs as the plain tier takes them, and the same completed by sources."""
     sources = system.loads.sources
-    held = sources.held(t)
+    held = sources.hold(t)
     if held is None:
         held = system.loads.idle + rng.uniform(0.0, 0.5, len(system.loads.idle))
     return held, sources.complete(held, t)

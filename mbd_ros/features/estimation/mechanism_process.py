@@ -102,7 +102,7 @@ class MechanismProcess:
         Raises:
             SolveError: The loops cannot be closed near x.
         """
-        return self.simulation.start(x, self._system.loads.sources.held(x.t))
+        return self.simulation.start(x, self._system.loads.sources.hold(x.t))
 
     def fit_state(self, x: State, values: Array, P: Array) -> State:
         """Return the consistent state that fits a measurement, starting from x.

@@ -367,7 +367,7 @@ class BatchLoads:
             ModelError: The number of wrenches is not that of the loads.
         """
         if len(wrenches) != len(self._loads):
-            raise ModelError(f"{len(wrenches)} wrenches given, the scene has {len(self._loads)}")
+            raise ModelError(f"got {len(wrenches)} wrenches, but the scene has {len(self._loads)}")
         total: Array = np.zeros((self._model.nv, q.shape[1]))
         for start in range(0, q.shape[1], _BLOCK):
             rows = slice(start, start + _BLOCK)

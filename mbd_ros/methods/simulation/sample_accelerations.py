@@ -162,7 +162,7 @@ def _with_next_step(simulation: Simulation, x: State, u: Array | None) -> Sample
     """Return accelerations under the mean forces of the step that begins at a state."""
     system, stepper = simulation.system, simulation.stepper
     y, memory = system.reduce(x), stepper.checkpoint()
-    inputs = system.loads.sources.held(x.t) if u is None else u
+    inputs = system.loads.sources.hold(x.t) if u is None else u
     stepper.step(y, inputs, y.t + simulation.dt)
     forces = stepper.forces
     stepper.restart()

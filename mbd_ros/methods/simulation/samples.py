@@ -99,7 +99,7 @@ class HeldInputs:
         while self._next <= now + self._times.slack:
             jump = max(jump, self._next)
             self._next = next(self._jumps, math.inf)
-        self.u = self._sources.held(jump)
+        self.u = self._sources.hold(jump)
         self.end = self._on_sample(self._next) if self._next < math.inf else math.inf
 
     def _on_sample(self, jump: float) -> float:

@@ -105,7 +105,7 @@ class Simulation(CheckedSteps):
         if isinstance(x, Checkpoint):
             self.resume(x)
         else:
-            u = self.system.loads.sources.held(x.t)
+            u = self.system.loads.sources.hold(x.t)
             yield self.system.expand(self.start(x, u))
         yield from self._samples(self._progressed(), duration, notice)
 
@@ -165,7 +165,7 @@ class Simulation(CheckedSteps):
         """
         stepper = self.stepper
         if self._table is None or not self._table.matches(x, duration):
-            first = self.start(x, self.system.loads.sources.held(x.t))
+            first = self.start(x, self.system.loads.sources.hold(x.t))
             if not (isinstance(stepper, BlockStepper) and stepper.takes_blocks):
                 return np.array([np.concatenate(([s.t], *s[1:4])) for s in self.run(x, duration)])
             times, at = sample_times(first.t, duration, self.dt), self._progressed()

@@ -437,7 +437,7 @@ def step_costs(scene: Scene, simulation: Simulation) -> str:
 def _step_time(simulation: Simulation, scene: Scene) -> float:
     """Shortest time of a step from the start on, with its corrections [s]."""
     y = simulation.start(scene.initial)
-    u, stepper = simulation.system.loads.sources.held(y.t), simulation.stepper
+    u, stepper = simulation.system.loads.sources.hold(y.t), simulation.stepper
     if isinstance(stepper, BlockStepper):
         return _shortest(lambda: stepper.stride(y, u, math.inf, _STEPS)[1])
     return _shortest(lambda: _advanced(simulation, y, u))

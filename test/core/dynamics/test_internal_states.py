@@ -576,7 +576,9 @@ def test_parts_that_a_motion_does_not_show_are_refused_in_the_inverse():
 
 
 def test_a_state_of_another_scene_is_refused_by_number():
-    with pytest.raises(ModelError, match=r"has 0 internal states, the scene has 2: drive.angle"):
+    with pytest.raises(
+        ModelError, match=r"has 0 internal states, but the scene has 2: drive.angle"
+    ):
         pendulum().system().evaluate(State(0.0, np.zeros(1), np.zeros(1)))
 
 
@@ -717,7 +719,7 @@ def test_the_drive_takes_symbols():
     [
         ((Internal("a", "", 0.0, 1.0, 2.0),), "many.a starts at 2, outside 0 .. 1"),
         ((Internal("a", "", 1.0, 0.0),), "many.a starts at 1, outside 1 .. 0"),
-        ((Internal("a", ""), Internal("a", "")), "must differ by name: many.a repeats"),
+        ((Internal("a", ""), Internal("a", "")), "two internal states have the same name: many.a"),
     ],
 )
 def test_states_that_contradict_themselves_are_refused(states, message):
