@@ -244,8 +244,8 @@ class ControlPipeline:
         dependent = self.scene.couplings.dependent
         pairs = zip(dependent, self._violation, strict=True)
         off = [f"{name} by {by:.4g}" for name, by in pairs if abs(by) > tolerance]
-        if self._observed.moved > tolerance:
-            off.append(f"loops by {self._observed.moved:.4g}")
+        if self._observed.correction > tolerance:
+            off.append(f"loops by {self._observed.correction:.4g}")
         return ", ".join(off)
 
     def details(self) -> Mapping[str, str]:
@@ -259,7 +259,7 @@ class ControlPipeline:
             "joints held": ", ".join(self.held()) or "none",
             "solver tier": self._controlled.system.tier,
             "distance from couplings": f"{np.abs(self._violation).max(initial=0.0):.6g}",
-            "distance from loops": f"{self._observed.moved:.6g}",
+            "distance from loops": f"{self._observed.correction:.6g}",
             **loop_details(self.loop, self.x.t if self.x is not None else 0.0),
         }
 

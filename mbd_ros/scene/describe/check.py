@@ -158,9 +158,9 @@ def _settled(system: System, y: State) -> State:
 def _apart(system: System, y: State) -> State:
     if not system.layout.cones:
         return y
-    from mbd_ros.methods.projection.initial_state import without_overlap
+    from mbd_ros.methods.projection.initial_state import resolve_overlaps
 
-    return without_overlap(system, y)
+    return resolve_overlaps(system, y)
 
 
 def _reach(scene: Scene, x: State) -> Iterator[Line]:
