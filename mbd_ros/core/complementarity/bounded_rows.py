@@ -150,7 +150,7 @@ class BoundedRows:
     def _without_silent(
         self, J: Array, A: Array, w: Array, bounds: tuple[Array, Array]
     ) -> tuple[Array, Array, NDArray[np.bool_] | None]:
-        """A and w without rows that nothing moves, and which these are.
+        """Return A and w without rows that nothing moves, and which these are.
 
         Their multipliers are then 0, or where they demand a motion at the bound that it leads to:
         friction of a rocker that turns.
@@ -197,7 +197,7 @@ class BoundedImpulses:
         self._A = 0.5 * (A + A.T)
 
     def solve(self, b: Array, lower: Array, upper: Array, speed: float) -> Array:
-        """The impulses, shape (m,), fresh.
+        """Return the impulses, shape (m,), fresh.
 
         Args:
             b: Rates without them, shape (m,).
@@ -223,7 +223,7 @@ class BoundedImpulses:
         return p
 
     def _unmoved(self, b: Array, lower: Array, upper: Array, speed: float) -> Array:
-        """Impulses of rows that nothing moves; 0 for the others."""
+        """Return impulses of rows that nothing moves; 0 for the others."""
         p = np.zeros(len(b))
         if self._mobile.all():
             return p
@@ -260,7 +260,7 @@ class PushImpulses:
         self._G = G[:, self._mobile] * self._unit
 
     def solve(self, b: Array, speed: float) -> Array:
-        """The impulses, shape (m,), fresh; rows that depend on one another share them.
+        """Return the impulses, shape (m,), fresh; rows that depend on one another share them.
 
         Args:
             b: Rates without them, shape (m,).
@@ -309,7 +309,7 @@ class PushImpulses:
 
 
 def _shared(G: Array, c: Array, p: Array) -> Array:
-    """Impulses of least norm that do the same, where they push too."""
+    """Return impulses of least norm that do the same, where they push too."""
     rate = G.T.dot(c + G.dot(p))
     least = _fitted(G, c, (rate <= _CLOSED) | (p > 0.0))
     does_the_same = np.abs(G.T.dot(c + G.dot(least)) - rate).max() <= _CLOSED
@@ -317,14 +317,14 @@ def _shared(G: Array, c: Array, p: Array) -> Array:
 
 
 def _fitted(G: Array, c: Array, on: NDArray[np.bool_]) -> Array:
-    """The p of least norm with c + G p the shortest, 0 where a row is off."""
+    """Return p of least norm with c + G p the shortest, 0 where a row is off."""
     p = np.zeros(G.shape[1])
     p[on] = np.linalg.lstsq(G[:, on], -c, rcond=FIXED_BY_OTHERS)[0]
     return p
 
 
 def _least(G: Array, c: Array) -> Array:
-    """Some p of the problem."""
+    """Return some p of the problem."""
     m = G.shape[1]
     p, pushes = np.zeros(m), np.zeros(m, dtype=np.bool_)
     tried = np.zeros(m, dtype=np.bool_)

@@ -102,7 +102,7 @@ class ContactProblem:
         shared: bool = True,
         accepted: float = EXACT,
     ) -> Array:
-        """The impulses, shape (m,), fresh.
+        """Return the impulses, shape (m,), fresh.
 
         Args:
             b: Rates without them, shape (m,).
@@ -133,7 +133,7 @@ class ContactProblem:
         return p
 
     def pushing(self, b: Array, speed: float, least: Array | None = None) -> Array:
-        """The impulses of contacts and of rows that only push.
+        """Return the impulses of contacts and of rows that only push.
 
         Args:
             b: As for `solve`.
@@ -244,7 +244,7 @@ class ScaledContacts:
         *,
         shared: bool,
     ) -> Array:
-        """The impulses, shape (m,), fresh.
+        """Return the impulses, shape (m,), fresh.
 
         Args:
             b: Rates without impulses, shape (m,).
@@ -280,7 +280,7 @@ class ScaledContacts:
         return answer
 
     def _unmoved(self, b: Array, lower: Array, upper: Array, speed: float) -> Array:
-        """Impulses of rows that nothing moves; 0 for the others."""
+        """Return impulses of rows that nothing moves; 0 for the others."""
         p = np.zeros(len(b))
         if len(self._at) == len(b):
             return p
@@ -294,7 +294,7 @@ class ScaledContacts:
         return p
 
     def _shortest(self, b: Array, bounds: Bounds, p: Array) -> Array:
-        """The impulses of least norm that do what p does."""
+        """Return the impulses of least norm that do what p does."""
         newton = self._newton
         seen = newton.seen
         exact = _ENOUGH * (1.0 + float(np.abs(p).max()))
@@ -323,7 +323,7 @@ class ScaledContacts:
         return Bounds(lower[contacts.others], upper[contacts.others], lower[contacts.normal])
 
     def _failed(self) -> str:
-        """What is wrong with the best impulses."""
+        """Return what is wrong with the best impulses."""
         off = np.abs(self._newton.seen.left)
         worst, left = self._names[self._at[int(off.argmax())]], float(off.max())
         return (
@@ -335,7 +335,7 @@ class ScaledContacts:
 def searched(
     newton: ConeNewton, b: Array, bounds: Bounds, start: Array, enough: tuple[float, float]
 ) -> tuple[Array, float]:
-    """The best impulses of all ways, and what they leave of the natural map.
+    """Return the best impulses of all ways, and what they leave of the natural map.
 
     What is left counts per size of the impulses, which round it, but impulses without bound, as
     those of contacts that contradict one another, excuse nothing.
@@ -383,7 +383,7 @@ def _starts(
 
 
 def _followed(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, damping: float) -> Array:
-    """Impulses at the end of the answers of A + s I, s from a damping to 0."""
+    """Return impulses at the end of the answers of A + s I, s from a damping to 0."""
     while damping > _LEAST:
         p, _ = newton.damped(damping).solve(b, bounds, p, _STEPS, _HALVINGS, _NEAR)
         damping *= _FALLS
@@ -391,7 +391,7 @@ def _followed(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, damping: f
 
 
 def _swept(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, sweeps: int) -> Array:
-    """Impulses after some sweeps over the rows, each contact solved by itself."""
+    """Return impulses after some sweeps over the rows, each contact solved by itself."""
     A, contacts, p = newton.A, newton.contacts, p.copy()
     rows = list(zip(contacts.others.tolist(), bounds.lower, bounds.upper, strict=True))
     places = zip(contacts.normal.tolist(), contacts.mu.tolist(), bounds.least, strict=True)
@@ -410,7 +410,7 @@ def _swept(newton: ConeNewton, b: Array, bounds: Bounds, p: Array, sweeps: int) 
 
 
 def _random(newton: ConeNewton, random: np.random.Generator) -> Array:
-    """Impulses of any size, friction within its cones."""
+    """Return impulses of any size, friction within its cones."""
     _, normal, first, second, mu = newton.contacts
     p = np.asarray(random.normal(size=len(newton.A)) * 10.0 ** random.uniform(*_SIZES))
     p[normal] = np.abs(p[normal])
@@ -421,7 +421,7 @@ def _random(newton: ConeNewton, random: np.random.Generator) -> Array:
 
 
 def least_impulses(newton: ConeNewton, seen: Seen, bounds: Bounds, p: Array, unit: Array) -> Array:
-    """The impulses of least norm that do what p does; p itself where they are not found.
+    """Return the impulses of least norm that do what p does; p itself where they are not found.
 
         min |p|^2   subject to   A p = A p_0,   p within its bounds and cones
 
@@ -500,7 +500,7 @@ class _Shares(NamedTuple):
 
 
 def _columns(shares: _Shares, m: int) -> Array:
-    """Impulses that may change, one a column, shape (m, k)."""
+    """Return impulses that may change, one a column, shape (m, k)."""
     own = [i for i, *_ in shares.rows] + [i + j for i, *_ in shares.sticks for j in range(3)]
     columns = np.zeros((m, len(own) + len(shares.slides)))
     columns[own, range(len(own))] = 1.0
@@ -522,7 +522,7 @@ def _nearest(shares: _Shares, given: Array, y: Array) -> Array:
 
 
 def _null(B: Array) -> Array:
-    """What B makes nothing of, one a column."""
+    """Return what B makes nothing of, one a column."""
     _, values, right = np.linalg.svd(B)
     rank = int((values > redundant(len(B)) * values.max(initial=0.0)).sum())
     null: Array = right[rank:].T
@@ -530,7 +530,7 @@ def _null(B: Array) -> Array:
 
 
 def _projected(shares: _Shares, basis: Array, given: Array, y: Array) -> Array | None:
-    """The shortest impulses within bounds and cones that do the same; None where not found.
+    """Return the shortest impulses within bounds and cones that do the same; None where not found.
 
     Args:
         shares: Which impulses may change.
@@ -561,7 +561,7 @@ def _projected(shares: _Shares, basis: Array, given: Array, y: Array) -> Array |
 
 
 def _slope(shares: _Shares, y: Array) -> Array:
-    """The derivative of `_nearest` by y, shape (m, m)."""
+    """Return the derivative of `_nearest` by y, shape (m, m)."""
     D = np.zeros((len(y), len(y)))
     for i, low, high in shares.rows:
         D[i, i] = 1.0 if low < y[i] < high else 0.0
@@ -574,7 +574,7 @@ def _slope(shares: _Shares, y: Array) -> Array:
 
 
 def nearest_in_cone(y: Array, mu: float, least: float = 0.0) -> tuple[Array, Array]:
-    """The nearest p with p_n >= least, |p_t| <= mu p_n, and its derivative by y.
+    """Return the nearest p with p_n >= least, |p_t| <= mu p_n, and its derivative by y.
 
     Args:
         y: A normal and two tangents, shape (3,).

@@ -27,7 +27,7 @@ STRAY = 1.0e-9  # of a straight slip: how fast it may be across the direction of
 
 
 def slowest(x: State) -> float:
-    """Slip velocity that counts as none."""
+    """Return the slip velocity that counts as none."""
     return NO_SLIP * (1.0 + float(np.abs(x.v).max()))
 
 
@@ -37,7 +37,7 @@ def initial_name(along: Array) -> Mode:
 
 
 def slip_name(slip: Array, rate: Array, slack: float, slow: float) -> Mode:
-    """Name of a slip.
+    """Return the name of a slip.
 
     Args:
         slip: Velocity, shape (2,).
@@ -59,7 +59,7 @@ def is_fine(name: Mode) -> bool:
 
 
 def direction(slip: Array, name: Mode) -> Array:
-    """Direction that friction is against, shape (2,).
+    """Return the direction that friction is against, shape (2,).
 
     Args:
         slip: Velocity, shape (2,).
@@ -72,7 +72,7 @@ def direction(slip: Array, name: Mode) -> Array:
 
 
 def slip_margins(slip: Array, name: Mode, x: State) -> tuple[float, ...]:
-    """How far a slip is from where it ends, or is named anew."""
+    """Return how far a slip is from where it ends, or is named anew."""
     size, none = math.hypot(*name), slowest(x)
     along = float(slip.dot(name)) / size
     if not is_fine(name):

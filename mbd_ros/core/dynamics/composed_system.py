@@ -153,7 +153,7 @@ class ComposedSystem:
         return self._accelerators.of(mode)
 
     def rates(self, y: State, u: Array | None = None) -> Array:
-        """Rates z' of the internal states, shape (nz,)."""
+        """Return rates z' of the internal states, shape (nz,)."""
         x = self.coordinates.expand(y)
         return self._rates(x._replace(z=self.internals.inside(y.z)), u)
 
@@ -175,7 +175,7 @@ class ComposedSystem:
         return self.coordinates.applied(inside, u)
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Derivatives of y'', to about 1e-6 by differences; as `System.derivatives`."""
+        """Return derivatives of y'', to about 1e-6 by differences; as `System.derivatives`."""
         if self.tier == "aba" and self.bounded is None and self.event_rows is None:
             if self._free is None:
                 from mbd_ros.core.dynamics.linearization import FreeDerivatives
@@ -192,7 +192,7 @@ class ComposedSystem:
         return Derivatives(by_q[:n, :n], by_v[:n, :n], by_v[:n, n:], by_u[:n], rates)
 
     def with_loads(self, loads: Loads) -> System:
-        """The same robot and rows, built for other loads."""
+        """Return the same robot and rows, built for other loads."""
         return self._build(loads, self.constraints.gains)
 
     def with_gains(self, kp: float, kd: float) -> System:
@@ -202,20 +202,20 @@ class ComposedSystem:
         return self._build(self.loads, (kp, kd))
 
     def mass(self, q: Array) -> Mass:
-        """Mass matrix of what is integrated, as an operator."""
+        """Return the mass matrix of what is integrated, as an operator."""
         return Mass(self.coordinates.mass(q))
 
     def factorise(self, t: float, q: Array) -> RowFactor:
-        """Factor of the bilateral rows of positions; brings `condition` up to date."""
+        """Return the factor of the bilateral rows of positions; brings `condition` up to date."""
         J = self._rigid.jacobian(t, q)
         return self._rigid.factorise(self.coordinates.mass(q), J)
 
     def energy(self, y: State) -> float:
-        """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
+        """Return the kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
         return self._mechanism.energy(self.coordinates.expand(y))
 
     def _response(self, y: State) -> Callable[[Array], Array]:
-        """The response to forces at a state that was just evaluated, until the next one."""
+        """Return the response to forces at a state that was just evaluated, until the next one."""
         stamp = self._mechanism.evaluations
 
         def respond(forces: Array) -> Array:
@@ -227,7 +227,7 @@ class ComposedSystem:
         return respond
 
     def _rates(self, x: State, u: Array | None) -> Array:
-        """The z' at a state of all joints, internal states inside their bounds."""
+        """Return z' at a state of all joints, internal states inside their bounds."""
         internals, k, loads = self.internals, self._mechanism.k, self.loads
         k.refresh(x.q, x.v, internals.reads)
         return internals.rates(k, x, loads.inputs(x, u))

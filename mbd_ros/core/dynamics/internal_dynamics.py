@@ -73,7 +73,7 @@ class Extended:
         return getattr(self.system, name)
 
     def joined(self, y: State, integrals: Array | None = None) -> State:
-        """A state of what the system integrates, with its internal states beside v.
+        """Return a state of what the system integrates, with its internal states beside v.
 
         Args:
             y: State with internal states.
@@ -84,16 +84,16 @@ class Extended:
         return State(y.t, q, v, NONE, y.mode)
 
     def parted(self, x: State) -> State:
-        """The state of what the system integrates, internal states inside their bounds."""
+        """Return the state of what the system integrates, internal states inside their bounds."""
         z = self.system.internals.inside(x.v[self._nv :])
         return State(x.t, x.q[: self._nq], x.v[: self._nv], z, x.mode)
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function of t, q, v, u that writes accelerations and rates in a mode."""
+        """Return the function of t, q, v, u that writes accelerations and rates in a mode."""
         return self.adapted(self.system.accelerator(mode))
 
     def adapted(self, write: Accelerator) -> Accelerator:
-        """A function of t, q, v, u from one of t, q, v, z, u."""
+        """Return a function of t, q, v, u from one of t, q, v, z, u."""
         n, m = self._nq, self._nv
 
         def accelerate(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
@@ -109,29 +109,29 @@ class Extended:
         return Derivatives(by_q, by_v, np.zeros((len(by_q), 0)), by_u)
 
     def with_loads(self, loads: Any) -> Extended:
-        """The same for other loads."""
+        """Return the same for other loads."""
         return Extended(self.system.with_loads(loads))
 
     def expand(self, x: State) -> State:
-        """State of all joints."""
+        """Return the state of all joints."""
         return self.system.expand(self.parted(x))
 
     def reduce(self, x: State) -> State:
-        """State of what is integrated from that of all joints."""
+        """Return the state of what is integrated from that of all joints."""
         return self.joined(self.system.reduce(x))
 
     def lift(self, x: State, a: Array) -> Array:
-        """Accelerations of all joints."""
+        """Return accelerations of all joints."""
         return self.system.lift(self.parted(x), a[: self._nv])
 
     def mass(self, q: Array) -> Mass:
-        """Mass matrix; internal states have the mass 1."""
+        """Return the mass matrix; internal states have the mass 1."""
         M, m = np.eye(self.nv), self._nv
         M[:m, :m] = self.system.mass(q[: self._nq]).dense
         return Mass(M)
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h beside the rates."""
+        """Return the generalized force tau - h beside the rates."""
         y = self.parted(State(t, q, v))
         return np.concatenate((self.system.applied_with(y, u), self.system.rates(y, u)))
 
@@ -160,21 +160,21 @@ class ExtendedChart:
         self.sizes = np.concatenate((ones, np.full(nz, np.inf), ones, sizes))
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """Configuration q (+) dq, shape (nq,)."""
+        """Return the configuration q (+) dq, shape (nq,)."""
         if self.is_flat:
             return q + dq
         n, m = self._chart.nq, self._chart.nv
         return np.concatenate((self._chart.integrate(q[:n], dq[:m]), q[n:] + dq[m:]))
 
     def difference(self, q0: Array, q1: Array) -> Array:
-        """The dq with q0 (+) dq = q1, shape (nv,)."""
+        """Return the dq with q0 (+) dq = q1, shape (nv,)."""
         if self.is_flat:
             return q1 - q0
         n = self._chart.nq
         return np.concatenate((self._chart.difference(q0[:n], q1[:n]), q1[n:] - q0[n:]))
 
     def rate(self, dq: Array, v: Array) -> Array:
-        """Rate of dq in q = q0 (+) dq while q moves with v, shape (nv,)."""
+        """Return the rate of dq in q = q0 (+) dq while q moves with v, shape (nv,)."""
         if self.is_flat:
             return v
         m = self._chart.nv
@@ -200,20 +200,20 @@ class ExtendedRows:
         return getattr(self._rows, name)
 
     def residual(self, t: float, q: Array) -> Array:
-        """g(t, q), shape (m,)."""
+        """Return g(t, q), shape (m,)."""
         return self._rows.residual(t, q[: self._nq])
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """dg/dq, shape (m, nv + nz)."""
+        """Return dg/dq, shape (m, nv + nz)."""
         return np.hstack((self._rows.jacobian(t, q[: self._nq]), self._none))
 
     def rate(self, t: float, q: Array) -> Array:
-        """dg/dt, shape (m,)."""
+        """Return dg/dt, shape (m,)."""
         return self._rows.rate(t, q[: self._nq])
 
 
 def settled(system: System, y: State, u: Array | None) -> State:
-    """A state whose internal states are as given, and else at their first values.
+    """Return a state whose internal states are as given, and else at their first values.
 
     Those whose equilibrium is asked for are where their rates are 0, or at a bound beyond which
     these would take them: where their part says so, else by Newton's method with shorter steps
@@ -263,7 +263,7 @@ def settled(system: System, y: State, u: Array | None) -> State:
 def _determining(
     rates: Callable[[Array], Array], z: Array, free: NDArray[np.intp], upper: Array
 ) -> NDArray[np.intp]:
-    """The rate that each state is found from, shape (n,): its own, as a rule.
+    """Return the rate that each state is found from, shape (n,): its own, as a rule.
 
     A state that none of these rates depends on, such as the angle of a motor whose speed is given,
     is found from the first rate that it changes, such as that of the speed.
@@ -280,7 +280,7 @@ def _determining(
 
 
 def _slopes(rates: Callable[[Array], Array], z: Array, r: Array, upper: Array) -> Array:
-    """Differences of m rates, shape (m, n)."""
+    """Return differences of m rates, shape (m, n)."""
     J = np.empty((len(r), len(z)))
     for i in range(len(z)):
         moved = z.copy()
@@ -325,7 +325,7 @@ def _at_rest(
 
 
 def _correction(J: Array, r: Array, is_at_bound: NDArray[np.bool_]) -> tuple[Array, bool]:
-    """The step with r + J step = 0 of what no bound holds, and whether there is one."""
+    """Return the step with r + J step = 0 of what no bound holds, and whether there is one."""
     step, free = np.zeros(len(r)), ~is_at_bound
     part = J[np.ix_(free, free)]
     size = np.abs(part).max(axis=1, initial=0.0)
@@ -341,7 +341,7 @@ def _size(step: Array, z: Array) -> float:
 
 
 def _followed(rates: Callable[[Array], Array], z: Array, bounds: tuple[Array, Array]) -> Array:
-    """Where the states go by themselves, in implicit steps of growing length.
+    """Return where the states go by themselves, in implicit steps of growing length.
 
     Source: C. T. Kelley, D. E. Keyes, SIAM J. Numer. Anal. 35, 1998, 508-523.
     """

@@ -101,11 +101,11 @@ class Kkt:
         return writing(self.accelerate, mode)
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """The same q, v and a."""
+        """Return the same q, v and a."""
         return q, v, a
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """Accelerations that forces add while the rows hold, shape as `forces`."""
+        """Return accelerations that forces add while the rows hold, shape as `forces`."""
         M, J = self.mechanism.mass(q), self._row_jacobian
         factor = self._rigid.factorise(M, J)
         free = np.linalg.solve(M, forces)
@@ -117,7 +117,7 @@ class Kkt:
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations and multipliers of the rows."""
+        """Return accelerations and multipliers of the rows."""
         if force is not None:
             a = self.accelerate(y, u, force)
         a = np.array(a)

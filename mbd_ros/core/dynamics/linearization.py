@@ -169,7 +169,7 @@ class FreeDerivatives:
         self._moving = [part for part in self._varying if part.internal]
 
     def at(self, y: State, u: Array | None, *, inputs: bool) -> Derivatives:
-        """Derivatives of the accelerations and rates at a state."""
+        """Return derivatives of the accelerations and rates at a state."""
         mechanism, nv, nz = self._mechanism, self._nv, self._nz
         u = mechanism.loads.inputs(y, u)
         force = self._loads(y, u)
@@ -231,7 +231,7 @@ class FreeDerivatives:
             step[i] = 0.0
 
     def _of_varying(self, y: State, u: Array) -> Array:
-        """Forces and rates of the loads that do not know their slopes, shape (nv + nz,)."""
+        """Return forces and rates of the loads that do not know their slopes, shape (nv + nz,)."""
         mechanism, internals, nv = self._mechanism, self._internals, self._nv
         x = y._replace(z=internals.inside(y.z)) if self._nz else y
         k, total = mechanism.k, np.zeros(nv + self._nz)
@@ -244,7 +244,7 @@ class FreeDerivatives:
 
 
 def balance_of(system: Any) -> Any:
-    """The balance of a system that has one of its own, else one by differences."""
+    """Return the balance of a system that has one of its own, else one by differences."""
     own = getattr(system, "balance", None)
     return Balance(system) if own is None else own(system)
 
@@ -264,7 +264,7 @@ class Balance:
         self._linearization = Linearization(system)
 
     def force(self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array) -> Array:
-        """The f, shape (nv,).
+        """Return the f, shape (nv,).
 
         Args:
             q: Configuration of what is integrated.

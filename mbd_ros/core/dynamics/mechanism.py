@@ -65,21 +65,21 @@ class Mechanism:
         return M + sum(load.inertia(self.k, x) for load in self.loads.heavy)
 
     def added(self, q: Array, a: Array) -> Array:
-        """What accelerations ask of inertia that loads add, shape (nv,)."""
+        """Return what accelerations ask of inertia that loads add, shape (nv,)."""
         x = self.placed(0.0, q, self.loads.reads)
         return sum((load.inertia(self.k, x).dot(a) for load in self.loads.heavy), self.zero)
 
     def bias(self, q: Array, v: Array) -> Array:
-        """The h of M a + h = tau, shape (nv,), overwritten by the next call."""
+        """Return h of M a + h = tau, shape (nv,), overwritten by the next call."""
         return pin.nonLinearEffects(self.model, self.data, q, v)
 
     def placed(self, t: float, q: Array, reads: Reads) -> State:
-        """State at rest of all joints, with k as far as it is read."""
+        """Return the state at rest of all joints, with k as far as it is read."""
         self.k.refresh(q, self.zero, reads)
         return State(t, q, self.zero)
 
     def energy(self, x: State) -> float:
-        """Kinetic and potential energy [J] at a state of all joints."""
+        """Return the kinetic and potential energy [J] at a state of all joints."""
         stored = float(pin.computeMechanicalEnergy(self.model, self.data, x.q, x.v))
         self.k.refresh(x.q, x.v, min(self.loads.reads, Reads.POSITION))
         for load in self.loads.heavy:
@@ -116,21 +116,21 @@ class RigidRows:
         self._usual = None if self.sizes is None else self.sizes.mobility
 
     def residual(self, t: float, q: Array) -> Array:
-        """g(t, q), shape (m,); 0 for rows of velocities."""
+        """Return g(t, q), shape (m,); 0 for rows of velocities."""
         x = self._mechanism.placed(t, q, self._of_g)
         return self.constraints.residual(self._mechanism.k, x)
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """dg/dq, shape (m, nv), fresh."""
+        """Return dg/dq, shape (m, nv), fresh."""
         x = self._mechanism.placed(t, q, self._of_J)
         return self.constraints.jacobian(self._mechanism.k, x)
 
     def rate(self, t: float, q: Array) -> Array:
-        """dg/dt, shape (m,)."""
+        """Return dg/dt, shape (m,)."""
         return self.constraints.rate(self._mechanism.k, State(t, q, self._mechanism.zero))
 
     def factorise(self, M: Array, J: Array) -> RowFactor:
-        """Factor of the rows; brings `condition` up to date.
+        """Return the factor of the rows; brings `condition` up to date.
 
         Args:
             M: Mass matrix, shape (nv, nv).
@@ -141,7 +141,7 @@ class RigidRows:
         return factor
 
     def factor_at(self, t: float, q: Array) -> RowFactor:
-        """Factor at a configuration of all joints; brings `condition` up to date."""
+        """Return the factor at a configuration of all joints; brings `condition` up to date."""
         J = self.jacobian(t, q)
         return self.factorise(self._mechanism.mass(q), J)
 
@@ -175,7 +175,7 @@ class ImpulseResponse:
             self._respond(J)
 
     def of(self, J: Array) -> "ImpulseResponse":
-        """That of other rows, shape (m, nv), under the same mass and bilateral rows."""
+        """Return that of other rows, shape (m, nv), under the same mass and bilateral rows."""
         other = copy(self)
         other._respond(J)
         return other
@@ -207,12 +207,12 @@ class ImpulseResponse:
         return v
 
     def kept(self, v: Array, goal: Array) -> tuple[Array, Array]:
-        """The nearest velocity with J_b v = goal, and the bilateral impulses for it."""
+        """Return the nearest velocity with J_b v = goal, and the bilateral impulses for it."""
         if self._factor is None:
             return v, goal
         p = self._factor.solve(goal - self._hold.dot(v))
         return v + self._factor.X.dot(p), p
 
     def bilateral(self, p: Array) -> Array:
-        """Bilateral impulses that answer those of the rows, shape (m_b,)."""
+        """Return bilateral impulses that answer those of the rows, shape (m_b,)."""
         return -self._held.dot(p)

@@ -45,17 +45,17 @@ class Aba:
         return accelerate
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """The same q, v and a."""
+        """Return the same q, v and a."""
         return q, v, a
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """M^-1 forces, shape as `forces`."""
+        """Return M^-1 forces, shape as `forces`."""
         return eigenpy.LLT(self.mechanism.mass(q)).solve(forces).reshape(forces.shape)
 
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations of all joints, and no multipliers."""
+        """Return accelerations of all joints, and no multipliers."""
         return np.array(a), NONE
 
 
@@ -95,19 +95,19 @@ class AllJoints:
         self.mass = mechanism.mass
 
     def expand(self, y: State) -> State:
-        """The same state."""
+        """Return the same state."""
         return y
 
     def reduce(self, x: State) -> State:
-        """The same state."""
+        """Return the same state."""
         return x
 
     def lift(self, y: State, a: Array) -> Array:
-        """The same accelerations, fresh."""
+        """Return the same accelerations, fresh."""
         return np.array(a)
 
     def integrated(self, a: Array) -> Array:
-        """The same values."""
+        """Return the same values."""
         return a
 
     def applied(self, y: State, u: Array | None) -> Array:

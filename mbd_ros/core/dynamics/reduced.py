@@ -77,18 +77,18 @@ class Reduced:
         return writing(self.accelerate, mode)
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """q, v and a of all joints at the state of the last `accelerate`."""
+        """Return q, v and a of all joints at the state of the last `accelerate`."""
         return self.coordinates.joint_motion(a)
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """G (G' M G)^-1 G' forces, shape as `forces`."""
+        """Return G (G' M G)^-1 G' forces, shape as `forces`."""
         reduced = self._GT.dot(forces)
         return self._G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
 
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations of all joints, and multipliers of the couplings."""
+        """Return accelerations of all joints, and multipliers of the couplings."""
         return coupled_solution(self.coordinates, y, u, a, force)
 
 
@@ -151,12 +151,12 @@ class Mimic:
         return accelerate
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """q, v and a of all joints at the state of the last `accelerate`."""
+        """Return q, v and a of all joints at the state of the last `accelerate`."""
         self.coordinates.at(q, v)
         return self.coordinates.joint_motion(a)
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """G (G' M G)^-1 G' forces, shape as `forces`."""
+        """Return G (G' M G)^-1 G' forces, shape as `forces`."""
         G = self.coordinates.G
         reduced = G.T.dot(forces)
         return G.dot(self._cholesky.solve(reduced).reshape(reduced.shape))
@@ -164,7 +164,7 @@ class Mimic:
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations of all joints, and multipliers of the couplings."""
+        """Return accelerations of all joints, and multipliers of the couplings."""
         return coupled_solution(self.coordinates, y, u, a, force)
 
 
@@ -281,7 +281,7 @@ class IndependentJoints:
             G[pair.child_v, column] = slope * G.item(pair.parent_v, column)
 
     def bias(self) -> Array:
-        """The h + M dG/dt y' of all joints, shape (nv of the robot,)."""
+        """Return h + M dG/dt y' of all joints, shape (nv of the robot,)."""
         mechanism = self._mechanism
         if self.is_linear:
             return mechanism.bias(self.q, self.v)
@@ -291,7 +291,7 @@ class IndependentJoints:
         return bias
 
     def joint_motion(self, a: Array) -> tuple[Array, Array, Array]:
-        """q, v and a of all joints from y'' at the last `at`; q and v are live."""
+        """Return q, v and a of all joints from y'' at the last `at`; q and v are live."""
         return self.q, self.v, self.G.dot(a) + self.a
 
     def placed(self, y: State) -> State:
@@ -316,25 +316,25 @@ class IndependentJoints:
         return force - mechanism.tau(self.placed(y), u)
 
     def expand(self, y: State) -> State:
-        """State of all joints."""
+        """Return the state of all joints."""
         self.at(y.q, y.v)
         return State(y.t, self.q.copy(), self.v.copy(), y.z, y.mode)
 
     def reduce(self, x: State) -> State:
-        """State of the independent joints."""
+        """Return the state of the independent joints."""
         return State(x.t, x.q[self._qi], x.v[self._vi], x.z, x.mode)
 
     def lift(self, y: State, a: Array) -> Array:
-        """Accelerations of all joints from y'', fresh."""
+        """Return accelerations of all joints from y'', fresh."""
         self.at(y.q, y.v)
         return self.G.dot(a) + self.a
 
     def integrated(self, a: Array) -> Array:
-        """Those of independent joints."""
+        """Return those of independent joints."""
         return a[self._vi]
 
     def mass(self, q: Array) -> Array:
-        """G' M G, shape (nv, nv), fresh."""
+        """Return G' M G, shape (nv, nv), fresh."""
         self.at(q, self._still)
         return self.G.T.dot(self._mechanism.mass(self.q)).dot(self.G)
 

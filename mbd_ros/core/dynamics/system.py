@@ -91,7 +91,7 @@ class System(Protocol):
         """How often the equations of motion were asked."""
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
-        """Accelerations, multipliers and the response to forces, at a state of all joints.
+        """Return accelerations, multipliers and the response to forces, at a state of all joints.
 
         Args:
             x: State of all joints; tiers that eliminate some read the others.
@@ -102,19 +102,19 @@ class System(Protocol):
         """
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function of t, q, v, u that writes y'' in a mode, shape (nv,).
+        """Return the function of t, q, v, u that writes y'' in a mode, shape (nv,).
 
         With internal states it is one of t, q, v, z, u that writes y'' and z', shape (nz,).
         """
 
     def rates(self, y: State, u: Array | None = None) -> Array:
-        """Rates z' of the internal states at a state of what is integrated, shape (nz,)."""
+        """Return rates z' of the internal states at a state of what is integrated, shape (nz,)."""
 
     def at_rest(self, y: State, u: Array | None = None) -> Array:
         """Internal states with what parts know of their equilibrium, NaN where none is known."""
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Derivatives of y'' at a state of what is integrated.
+        """Return derivatives of y'' at a state of what is integrated.
 
         Args:
             y: State of what is integrated.
@@ -123,46 +123,46 @@ class System(Protocol):
         """
 
     def with_loads(self, loads: Loads) -> System:
-        """The same robot and rows, built for other loads."""
+        """Return the same robot and rows, built for other loads."""
 
     def with_gains(self, kp: float, kd: float) -> System:
         """The same system with g'' + kd g' + kp g = 0 of rigid rows; kp [1/s^2], kd [1/s]."""
 
     def expand(self, y: State) -> State:
-        """State of all joints from that of what is integrated."""
+        """Return the state of all joints from that of what is integrated."""
 
     def reduce(self, x: State) -> State:
-        """State of what is integrated from that of all joints."""
+        """Return the state of what is integrated from that of all joints."""
 
     def lift(self, y: State, a: Array) -> Array:
         """Accelerations of all joints from the y'' at a state, fresh, shape (nv of the robot,)."""
 
     def integrated(self, a: Array) -> Array:
-        """Those of what is integrated among values of all joints."""
+        """Return those of what is integrated among values of all joints."""
 
     def mass(self, q: Array) -> Mass:
         """Mass matrix as an operator: products, solutions, and entries for who needs them."""
 
     def applied(self, t: float, q: Array, v: Array, u: Array | None = None) -> Array:
-        """Generalized force tau - h without the constraints, shape (nv,)."""
+        """Return the generalized force tau - h without the constraints, shape (nv,)."""
 
     def applied_with(self, y: State, u: Array | None = None) -> Array:
-        """The same at a state with internal states."""
+        """Return the same at a state with internal states."""
 
     def residual(self, t: float, q: Array) -> Array:
-        """g(t, q) of `rows`, shape (m,)."""
+        """Return g(t, q) of `rows`, shape (m,)."""
 
     def jacobian(self, t: float, q: Array) -> Array:
-        """dg/dq, shape (m, nv)."""
+        """Return dg/dq, shape (m, nv)."""
 
     def rate(self, t: float, q: Array) -> Array:
-        """dg/dt, shape (m,)."""
+        """Return dg/dt, shape (m,)."""
 
     def factorise(self, t: float, q: Array) -> RowFactor:
-        """Factor of `rows`; brings `condition` up to date."""
+        """Return the factor of `rows`; brings `condition` up to date."""
 
     def energy(self, y: State) -> float:
-        """Kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
+        """Return the kinetic and potential energy [J]; heights are counted from `Robot.origin`."""
 
 
 class Derivatives(NamedTuple):
@@ -224,10 +224,10 @@ class FreeMotion(Protocol):
         """Return the function of t, q, v, u that writes the result of `accelerate` in a mode."""
 
     def joint_motion(self, q: Array, v: Array, a: Array) -> tuple[Array, Array, Array]:
-        """q, v and a of all joints from y and y'' at the state of the last `accelerate`."""
+        """Return q, v and a of all joints from y and y'' at the state of the last `accelerate`."""
 
     def respond(self, q: Array, forces: Array) -> Array:
-        """Accelerations of all joints that forces on them add at the last `accelerate`.
+        """Return accelerations of all joints that forces on them add at the last `accelerate`.
 
         Args:
             q: Configuration of y there.
@@ -240,7 +240,7 @@ class FreeMotion(Protocol):
     def solution(
         self, y: State, u: Array | None, a: Array, force: Array | None
     ) -> tuple[Array, Array]:
-        """Accelerations of all joints, and multipliers of couplings and rigid rows, fresh.
+        """Return accelerations of all joints, and multipliers of couplings and rigid rows, fresh.
 
         Args:
             y: State of the last `accelerate`.
@@ -255,19 +255,19 @@ class Coordinates(Protocol):
     chart: Chart
 
     def expand(self, y: State) -> State:
-        """State of all joints."""
+        """Return the state of all joints."""
 
     def reduce(self, x: State) -> State:
-        """State of y."""
+        """Return the state of y."""
 
     def lift(self, y: State, a: Array) -> Array:
-        """Accelerations of all joints from y'', fresh, shape (nv of the robot,)."""
+        """Return accelerations of all joints from y'', fresh, shape (nv of the robot,)."""
 
     def integrated(self, a: Array) -> Array:
-        """Those of y among values of all joints."""
+        """Return those of y among values of all joints."""
 
     def mass(self, q: Array) -> Array:
-        """Mass matrix of y, shape (nv, nv), overwritten by the next call."""
+        """Return the mass matrix of y, shape (nv, nv), overwritten by the next call."""
 
     def applied(self, y: State, u: Array | None) -> Array:
         """Return the generalized force tau - h on y, shape (nv,)."""
@@ -288,7 +288,7 @@ def writing(accelerate: Acceleration, mode: Mode = ()) -> Accelerator:
 
 
 def evaluation_at(system: System, y: State) -> Callable[[], None]:
-    """An evaluation of accelerations and rates in the mode of a state, for clocks.
+    """Return an evaluation of accelerations and rates in the mode of a state, for clocks.
 
     Args:
         y: State of what it integrates.
@@ -301,23 +301,23 @@ def evaluation_at(system: System, y: State) -> Callable[[], None]:
 
 
 def phased(system: System) -> Any:
-    """The system as a `PhasedSystem`; None where it has no phases."""
+    """Return the system as a `PhasedSystem`; None where it has no phases."""
     return system if getattr(system, "phases", ()) else None
 
 
 def during(system: System, x: State) -> System:
-    """The system of the phase of a state; the system itself where it has no phases."""
+    """Return the system of the phase of a state; the system itself where it has no phases."""
     several = phased(system)
     return system if several is None else several.during(x)
 
 
 def inward(system: System, x: State) -> State:
-    """The state with the mode that the system of its phase has for it."""
+    """Return the state with the mode that the system of its phase has for it."""
     several = phased(system)
     return x if several is None else several.inward(x)
 
 
 def phase_names(system: System) -> tuple[str, ...]:
-    """Names of the phases in the order of the scene; empty where it has none."""
+    """Return names of the phases in the order of the scene; empty where it has none."""
     several = phased(system)
     return () if several is None else tuple(phase.name for phase in several.phases)

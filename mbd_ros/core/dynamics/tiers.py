@@ -96,7 +96,7 @@ class _Plan:
         self._sizes: tuple[UsualSizes | None, ...] = (None, None)
 
     def build(self, loads: Loads, gains: tuple[float, float]) -> System:
-        """The system under some loads, with kp [1/s^2] and kd [1/s] of rigid rows."""
+        """Return the system under some loads, with kp [1/s^2] and kd [1/s] of rigid rows."""
         nv, blocks = self._robot.model.nv, self._limited
         mechanism = Mechanism(self._robot, loads)
         bilateral = rigid = RigidRows(
@@ -141,7 +141,7 @@ class _Plan:
 
 
 def _heavy_rows(loads: Loads) -> str:
-    """Why rigid rows and loads that add inertia do not go together."""
+    """Return why rigid rows and loads that add inertia do not go together."""
     names = ", ".join(load.name for load in loads.heavy)
     return (
         f"{names} adds inertia that changes with the posture, which no solver serves beside rigid "
@@ -191,5 +191,5 @@ def _check(
 
 
 def tier_of(system: System) -> str:
-    """Name of the tier that was chosen."""
+    """Return the name of the tier that was chosen."""
     return system.tier if system.bounded is None else f"qp over {system.tier}"

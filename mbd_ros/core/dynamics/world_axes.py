@@ -46,15 +46,15 @@ class InWorldAxes:
         return y._replace(v=self._bodies.in_world(y.v, self._bodies.axes(y.q)))
 
     def turned_back(self, x: State) -> State:
-        """The state of what the system integrates."""
+        """Return the state of what the system integrates."""
         return x._replace(v=self._bodies.in_own_axes(x.v, self._bodies.axes(x.q)))
 
     def accelerator(self, mode: Mode = ()) -> Accelerator:
-        """The function that writes accelerations in the axes of the world in a mode."""
+        """Return the function that writes accelerations in the axes of the world in a mode."""
         return self.adapted(self.system.accelerator(mode))
 
     def adapted(self, write: Accelerator) -> Accelerator:
-        """A function of velocities in the axes of the world from one of the system."""
+        """Return a function of velocities in the axes of the world from one of the system."""
         bodies, has_rates = self._bodies, self.system.internals.nz > 0
 
         def accelerate(t: float, q: Array, v: Array, *more: Any) -> None:
@@ -67,16 +67,16 @@ class InWorldAxes:
         return accelerate
 
     def derivatives(self, x: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Derivatives of accelerations by differences; as `System.derivatives`."""
+        """Return derivatives of accelerations by differences; as `System.derivatives`."""
         field = self.accelerator(mode_at(self.system, self.turned_back(x), u))
         return Linearization(self).derivatives(field, x, u, inputs=inputs)
 
     def expand(self, x: State) -> State:
-        """State of all joints."""
+        """Return the state of all joints."""
         return self.system.expand(self.turned_back(x))
 
     def reduce(self, x: State) -> State:
-        """State of what is integrated from that of all joints."""
+        """Return the state of what is integrated from that of all joints."""
         return self.turned(self.system.reduce(x))
 
 
@@ -96,17 +96,17 @@ class WorldChart(Chart):
         self._bodies = FreeBodies(chart.model)
 
     def integrate(self, q: Array, dq: Array) -> Array:
-        """Configuration q (+) dq, shape (nq,)."""
+        """Return the configuration q (+) dq, shape (nq,)."""
         axes = self._bodies.axes(q)
         way = self._bodies.in_own_axes(dq, axes)
         return self._bodies.moved(self._own, q, way, axes)
 
     def difference(self, q0: Array, q1: Array) -> Array:
-        """The dq with q0 (+) dq = q1, shape (nv,)."""
+        """Return the dq with q0 (+) dq = q1, shape (nv,)."""
         return self._bodies.gone(self._own, q0, q1)
 
     def rate(self, dq: Array, v: Array) -> Array:
-        """Rate of dq in q = q0 (+) dq while q moves with v, shape (nv,).
+        """Return the rate of dq in q = q0 (+) dq while q moves with v, shape (nv,).
 
         Source: Iserles et al., Lie-group methods, Acta Numerica 9, 2000, app. B: the inverse of
         the left Jacobian of SO(3).
@@ -118,7 +118,7 @@ class WorldChart(Chart):
 
 
 def _rate_on_turns(turn: list[float], spin: list[float]) -> Array:
-    """Rate of a rotation vector whose body spins, both in the axes of the world."""
+    """Return the rate of a rotation vector whose body spins, both in the axes of the world."""
     (a, b, c), (x, y, z) = turn, spin
     square = a * a + b * b + c * c
     if square < _SMALL_TURN:
@@ -157,7 +157,7 @@ class FreeBodies:
         self._vectors = np.stack((self._v, self._spins), axis=-1)
 
     def axes(self, q: Array) -> Array:
-        """From axes of the bodies to those of the world, shape (n, 3, 3)."""
+        """Return from axes of the bodies to those of the world, shape (n, 3, 3)."""
         if len(self._q) == 1:
             axes: Array = pin.Quaternion(q[self._turns[0]]).matrix()[None]
             return axes
@@ -170,7 +170,7 @@ class FreeBodies:
         return np.array(rows).T.reshape(-1, 3, 3)
 
     def turned(self, v: Array, before: Array, after: Array) -> Array:
-        """A velocity with linear parts in other axes.
+        """Return a velocity with linear parts in other axes.
 
         Args:
             before: Axes in which its linear parts stand, shape (n, 3, 3).
@@ -202,7 +202,7 @@ class FreeBodies:
         return way
 
     def in_world(self, v: Array, axes: Array) -> Array:
-        """Velocities or accelerations in the axes of the world, both parts of them.
+        """Return velocities or accelerations in the axes of the world, both parts of them.
 
         Args:
             v: In the axes of the bodies, shape (nv,).
@@ -213,7 +213,7 @@ class FreeBodies:
         return turned
 
     def in_own_axes(self, v: Array, axes: Array) -> Array:
-        """The reverse of `in_world`."""
+        """Return the reverse of `in_world`."""
         turned = v.copy()
         turned[self._vectors] = axes.transpose(0, 2, 1) @ v[self._vectors]
         return turned
@@ -226,7 +226,7 @@ class FreeBodies:
             a[start : spin.start] += (q * z - r * y, r * x - p * z, p * y - q * x)
 
     def turning(self, v: Array) -> Array:
-        """What accelerations in the axes of the bodies lack, w x v, shape (nv,)."""
+        """Return what accelerations in the axes of the bodies lack, w x v, shape (nv,)."""
         turning = np.zeros(len(v))
         (a, b, c), (x, y, z) = v[self._spins].T, v[self._v].T
         turning[self._v] = np.column_stack((b * z - c * y, c * x - a * z, a * y - b * x))

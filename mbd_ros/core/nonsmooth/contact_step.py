@@ -80,7 +80,7 @@ class ContactSolver(UnilateralSolver):
     def end(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:
-        """Velocity at the end of the step; arguments as without contacts.
+        """Return the velocity at the end of the step; arguments as without contacts.
 
         Rows that others push beyond 0 push, too.
         """
@@ -138,7 +138,7 @@ class ContactSolver(UnilateralSolver):
         return chosen if len(chosen) else None
 
     def first_slip_end(self, slips: Slots, problem: StepProblem, end: Array) -> float:
-        """When the first of some slips ends if it goes on as in a short step [s].
+        """Return when the first of some slips ends if it goes on as in a short step [s].
 
         Args:
             slips: Tangents of contacts, among the rows of all.
@@ -207,7 +207,7 @@ class ContactSolver(UnilateralSolver):
         free: Array,
         near: Array | None,
     ) -> Array:
-        """What the impulses of some rows, contacts among them, add to a velocity."""
+        """Return what the impulses of some rows, contacts among them, add to a velocity."""
         response = problem.response
         A, solver = self._of(response, chosen, on)
         known = *self._bounds(problem, chosen.at), problem.speed(free)
@@ -235,7 +235,7 @@ class ContactSolver(UnilateralSolver):
         return change
 
     def _held(self, subproblem: ContactSubproblem) -> Array:
-        """Impulses of a problem: the last ones, where contacts are held by them still."""
+        """Return impulses of a problem: the last ones, where contacts are held by them still."""
         at, A, last = subproblem.chosen.at, subproblem.A, self.shared
         same = bool(last) and np.array_equal(last[1], A) and np.array_equal(last[0], at)
         if same and subproblem.sticks():
@@ -254,7 +254,7 @@ class ContactSolver(UnilateralSolver):
         return self._solver[2:]
 
     def _sliding(self, subproblem: ContactSubproblem, near: Array) -> Array | None:
-        """Impulses where some contacts slide all along; None where none does."""
+        """Return impulses where some contacts slide all along; None where none does."""
         problem, chosen, on, b = subproblem.problem, subproblem.chosen, subproblem.on, subproblem.b
         at, tangents = on[chosen.tangents], chosen.tangents
         J, own = problem.J[at], problem.offset[at] - problem.bend[at]
@@ -293,7 +293,7 @@ class ContactSolver(UnilateralSolver):
         return moved
 
     def _chosen(self, acting: Acting, on: NDArray[np.intp]) -> Acting:
-        """The rows that are on; of a contact all or none."""
+        """Return the rows that are on; of a contact all or none."""
         if len(on) == len(acting.at):
             return acting
         key = acting.at[on].tobytes()
@@ -305,13 +305,13 @@ class ContactSolver(UnilateralSolver):
 
 
 def _slips(problem: StepProblem, end: Array, tangents: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Slips at the start and at the end of a step [m/s], shape (n, 2) each."""
+    """Return slips at the start and at the end of a step [m/s], shape (n, 2) each."""
     after = problem.J[tangents].dot(end) + problem.offset[tangents]
     return problem.rate[tangents].reshape(-1, 2), after.reshape(-1, 2)
 
 
 def _dots(a: Array, b: Array) -> Array:
-    """Products of vectors, shape (n,)."""
+    """Return products of vectors, shape (n,)."""
     return np.einsum("ij,ij->i", a, b)
 
 
@@ -353,7 +353,7 @@ class ContactSubproblem(NamedTuple):
     shared: bool
 
     def solve(self, late: Array | None = None) -> Array:
-        """The impulses, shape (m,); arguments as for `ContactProblem`."""
+        """Return the impulses, shape (m,); arguments as for `ContactProblem`."""
         known = *self.known, late, self.warm
         return self.solver.solve(self.b, *known, shared=self.shared, accepted=_ACCEPTED)
 
@@ -372,7 +372,7 @@ class ContactSubproblem(NamedTuple):
         return work <= _WORK * self.known[2] ** 2
 
     def left(self, p: Array) -> Residuals:
-        """What impulses leave of the laws where all contacts are at rest."""
+        """Return what impulses leave of the laws where all contacts are at rest."""
         w, parts = self.A.dot(p) + self.b, p.reshape(-1, 3)
         slips = w.reshape(-1, 3)[:, 1:]
         mu = np.array([cone.mu for cone in self.chosen.cones])
@@ -388,14 +388,14 @@ class ConsistentRates:
         self._last: tuple[Array, Array] | None = None
 
     def none(self, A: Array) -> Array:
-        """Rates that no impulses make, orthonormal in columns, shape (m, dependent)."""
+        """Return rates that no impulses make, orthonormal in columns, shape (m, dependent)."""
         if self._last is None or self._last[0] is not A:
             values, ways = np.linalg.eigh(0.5 * (A + A.T))
             self._last = A, ways[:, values <= redundant(len(A)) * values[-1]]
         return self._last[1]
 
     def possible(self, late: Array, A: Array, slide: Slots) -> Array:
-        """Earlier rates of tangents that slide, as far as they contradict no other rows.
+        """Return earlier rates of tangents that slide, as far as they contradict no other rows.
 
         Args:
             late: Rates, 0 but at these tangents, shape (m,).
@@ -465,7 +465,7 @@ class ContactScreening(StepRows):
         self._spare -= math.sqrt(way.dot(way))
 
     def at(self, x: State, free: Array, h: float) -> RowsAt:
-        """The rows at a state of all joints; arguments as for all rows."""
+        """Return the rows at a state of all joints; arguments as for all rows."""
         k, rows, others = self._k, self.rows, self._others
         fastest = math.sqrt(max(x.v.dot(x.v), free.dot(free)))
         if self._spare > _WAYS * h * fastest:
@@ -511,7 +511,7 @@ class ContactScreening(StepRows):
         return copy(last[2])
 
     def gaps(self, x: State) -> Array | None:
-        """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
+        """Return g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
 
         Contacts that have room are passed over, and count as infinitely far; None where all rows
         are.
@@ -539,7 +539,7 @@ class ContactScreening(StepRows):
         return np.where(self.every.pushes, gaps, np.inf)
 
     def _reach(self, way: Array) -> Array:
-        """How far gaps change at most on a way of the joints [m], one a contact.
+        """Return how far gaps change at most on a way of the joints [m], one a contact.
 
         Brings `room` up to date.
         """
@@ -551,7 +551,7 @@ class ContactScreening(StepRows):
         return np.where(speed.room > 0.0, speed.weights.dot(way), np.inf)
 
     def _acting(self, at: NDArray[np.intp]) -> Acting:
-        """The rows that stand there; of a contact all or none."""
+        """Return the rows that stand there; of a contact all or none."""
         key = at.tobytes()
         if key not in self._sets:
             if len(self._sets) >= _SCREENED_SETS:
@@ -561,7 +561,7 @@ class ContactScreening(StepRows):
 
 
 def _rounded(J: Array) -> Array:
-    """Rows to the last digit of the largest entry of each column.
+    """Return rows to the last digit of the largest entry of each column.
 
     What rounding leaves of entries that are 0 differs from step to step, also of bodies at rest.
     """

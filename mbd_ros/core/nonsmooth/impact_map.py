@@ -62,7 +62,7 @@ class ImpactMap:
         self._nothing = np.zeros((0, nv)), np.zeros(0)
 
     def impact(self, x: State, touching: Sequence[int], *, expands: bool = True) -> Impact:
-        """The velocity after an impact, and its impulses; none where nothing approaches.
+        """Return the velocity after an impact, and its impulses; none where nothing approaches.
 
         Args:
             x: State of all joints before it.

@@ -57,23 +57,23 @@ class ImplicitLoads:
         self._none = Slopes(np.zeros((n, n)), np.zeros((n, 0)), np.eye(0), np.zeros((0, n)))
 
     def expand(self, x: State) -> State:
-        """The same state: all joints are their own coordinates."""
+        """Return the same state: all joints are their own coordinates."""
         return x
 
     def force(self, x: State, u: Array | None) -> Array:
-        """Generalized force tau - h at a state of all joints, shape (nv,)."""
+        """Return the generalized force tau - h at a state of all joints, shape (nv,)."""
         mechanism = self._mechanism
         inside = x._replace(z=self._internals.inside(x.z))
         return mechanism.tau(inside, u) - mechanism.bias(x.q, x.v)
 
     def rates(self, x: State, u: Array | None) -> Array:
-        """Rates of the internal states there, shape (nz,)."""
+        """Return rates of the internal states there, shape (nz,)."""
         k, loads, internals = self._mechanism.k, self._mechanism.loads, self._internals
         k.refresh(x.q, x.v, internals.reads)
         return internals.rates(k, x._replace(z=internals.inside(x.z)), loads.inputs(x, u))
 
     def slopes(self, x: State, u: Array | None, s: float) -> Slopes:
-        """The matrices of a step at a state of all joints.
+        """Return the matrices of a step at a state of all joints.
 
         Args:
             u: Inputs, as for `Loads.total`.
@@ -122,7 +122,7 @@ class Slopes(NamedTuple):
 
 
 def mass_with(M: Array, added: Array) -> Array:
-    """M + added where that is positive definite, else without what makes it less than M.
+    """Return M + added where that is positive definite, else without what makes it less than M.
 
     Such a load makes motion grow: it is left to explicit steps.
     """

@@ -89,7 +89,7 @@ class MoreauJeanStep:
         self._correction = PositionCorrection(mechanism, self._rigid, self._rows)
 
     def step(self, y: State, u: Array | None, h: float, t: float) -> State:
-        """The state of what is integrated at a time t, after a step of length h [s].
+        """Return the state of what is integrated at a time t, after a step of length h [s].
 
         Args:
             y: State at the start.
@@ -138,12 +138,12 @@ class MoreauJeanStep:
         return self._correct_positions(self._finish(y, problem, end, t))
 
     def _pose(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
-        """The problem of a step without impacts, and its rows that would be closed."""
+        """Return the problem of a step without impacts, and its rows that would be closed."""
         problem = self._problem(y, u, h)
         return problem, problem.closed()
 
     def _problem(self, y: State, u: Array | None, h: float) -> StepProblem:
-        """The linear problem of a step from a state of what is integrated.
+        """Return the linear problem of a step from a state of what is integrated.
 
             K (free - v) = h f + J_b' p_b,   J_b free = goal   without the other rows
             w = J v+ + offset                                 their rates at the end
@@ -195,7 +195,7 @@ class MoreauJeanStep:
     def _solve(
         self, problem: StepProblem, closed: Which, y: State, u: Array | None
     ) -> tuple[StepProblem, Array]:
-        """The problem with forces on the way to its end, and the velocity there."""
+        """Return the problem with forces on the way to its end, and the velocity there."""
         end = self.row_solver.end(problem, closed, problem.free)
         problem = self._correct_forces(problem, y, u, end)
         return problem, self.row_solver.end(problem, closed, problem.free, end)
@@ -203,7 +203,7 @@ class MoreauJeanStep:
     def _correct_forces(
         self, problem: StepProblem, y: State, u: Array | None, end: Array
     ) -> StepProblem:
-        """The problem with forces and rates on the way to a velocity at its end."""
+        """Return the problem with forces and rates on the way to a velocity at its end."""
         v, h, slopes, loads = problem.x.v, problem.h, problem.slopes, self._loads
         mean, dz = (1.0 - self._theta) * v + self._theta * end, problem.dz(end)
         x = self._intermediate_with(y, self._system.integrated(mean), y.z + self._theta * dz, h)
@@ -215,7 +215,7 @@ class MoreauJeanStep:
         return problem._replace(free=free, dz_still=still)
 
     def _intermediate(self, y: State, h: float) -> State:
-        """State of all joints at the intermediate time, with the velocity of y."""
+        """Return the state of all joints at the intermediate time, with the velocity of y."""
         return self._intermediate_with(y, y.v, y.z, h)
 
     def _intermediate_with(self, y: State, v: Array, z: Array, h: float) -> State:
@@ -229,7 +229,7 @@ class MoreauJeanStep:
         return self._loads.force(x, u)
 
     def _drift(self, x: State, J: Array, drift: Array) -> Array:
-        """The part of g'' without the change of velocities as a step counts them."""
+        """Return the part of g'' without the change of velocities as a step counts them."""
         return drift
 
     def _take_impact(
@@ -253,7 +253,7 @@ class MoreauJeanStep:
         return y._replace(v=np.array(self._system.integrated(v))), h - wait
 
     def _first_slip_end(self, slips: Slots, y: State, u: Array | None, h: float) -> float:
-        """When the first of some slips ends within a step [s]; 0 where none is seen to."""
+        """Return when the first of some slips ends within a step [s]; 0 where none is seen to."""
         for share in _SHARES:
             problem, end = self._solve(*self._pose(y, u, share * h), y, u)
             part = self.row_solver.first_slip_end(slips, problem, end)
@@ -262,7 +262,7 @@ class MoreauJeanStep:
         return 0.0
 
     def _finish(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
-        """The state at the end of a step: q+ = q (+) h ((1 - theta) v + theta v+)."""
+        """Return the state at the end of a step: q+ = q (+) h ((1 - theta) v + theta v+)."""
         way = problem.h * ((1.0 - self._theta) * problem.x.v + self._theta * end)
         dz = problem.dz(end)
         correction = self.row_solver.way_correction(problem, end)
@@ -272,7 +272,7 @@ class MoreauJeanStep:
         return self._move(y, way, end, dz, t)
 
     def _correct_positions(self, y: State) -> State:
-        """The state with no one-sided row beyond 0, moved the least in the mass metric."""
+        """Return the state with no one-sided row beyond 0, moved the least in the mass metric."""
         if not self._rows.are_one_sided:
             return y
         for _ in range(_MOVES):
@@ -284,7 +284,7 @@ class MoreauJeanStep:
         return y
 
     def _move(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
-        """A state of what is integrated, after a way and with a velocity of all joints."""
+        """Return a state of what is integrated, after a way and with a velocity of all joints."""
         system = self._system
         q = system.chart.integrate(y.q, system.integrated(way))
         z = system.internals.inside(y.z + dz)
@@ -313,7 +313,7 @@ class FreeBodyStep(MoreauJeanStep):
         self._axes = self._bodies.axes(self._q)
 
     def _intermediate(self, y: State, h: float) -> State:
-        """State of all joints at the intermediate time, with the velocity of y."""
+        """Return the state of all joints at the intermediate time, with the velocity of y."""
         before = self._axes = self._integrated.axes(y.q)
         x = self._intermediate_with(y, y.v, y.z, h)
         self._axes, self._q = self._bodies.axes(x.q), x.q
@@ -336,12 +336,12 @@ class FreeBodyStep(MoreauJeanStep):
         return bodies.turned(force, own, axes) + turning
 
     def _drift(self, x: State, J: Array, drift: Array) -> Array:
-        """The part of g'' without the change of velocities as a step counts them."""
+        """Return the part of g'' without the change of velocities as a step counts them."""
         left: Array = drift - J.dot(self._bodies.turning(x.v))
         return left
 
     def _move(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
-        """A state of what is integrated, after a way and with a velocity of all joints."""
+        """Return a state of what is integrated, after a way and with a velocity of all joints."""
         system, bodies = self._system, self._integrated
         q = bodies.moved(system.chart, y.q, system.integrated(way), self._axes)
         self._rows.moved(q, way)
@@ -354,7 +354,7 @@ class FreeBodyStep(MoreauJeanStep):
         return super()._finish(y, problem, end, t)
 
     def _correct_positions(self, y: State) -> State:
-        """The state with no one-sided row beyond 0, moved the least in the mass metric."""
+        """Return the state with no one-sided row beyond 0, moved the least in the mass metric."""
         self._axes = self._integrated.axes(y.q)
         return super()._correct_positions(y)
 
@@ -362,7 +362,7 @@ class FreeBodyStep(MoreauJeanStep):
 def rows_of_step(
     system: System, mechanism: Mechanism, rows: ConstraintRows, theta: float
 ) -> tuple[StepRows, UnilateralSolver]:
-    """The unilateral and bounded rows of steps, and what solves for them."""
+    """Return the unilateral and bounded rows of steps, and what solves for them."""
     if not rows.cones:
         return StepRows(mechanism, rows), UnilateralSolver(rows)
     from mbd_ros.core.nonsmooth.contact_step import ContactScreening, ContactSolver
@@ -372,7 +372,7 @@ def rows_of_step(
 
 
 def returns(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:
-    """Rates [1/s] with which rows come back to 0, kp / kd, one a row; 0 without gains."""
+    """Return rates [1/s] with which rows come back to 0, kp / kd, one a row; 0 without gains."""
     found = [np.zeros(0)]
     for block in blocks:
         kp, kd = (np.broadcast_to(gain, len(block.rows)) for gain in gains or block.gains)
@@ -403,7 +403,7 @@ class PositionCorrection:
         self._no_rows = np.zeros((0, int(mechanism.model.nv)))
 
     def way(self, x: State) -> Array | None:
-        """The displacement of all joints, shape (nv,); None where no row is beyond 0."""
+        """Return the displacement of all joints, shape (nv,); None where no row is beyond 0."""
         rows, rigid = self._rows, self._rigid
         gap = rows.gaps(x)
         if gap is None or (least := float(gap.min())) >= -LANDED:

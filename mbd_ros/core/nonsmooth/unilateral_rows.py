@@ -72,7 +72,7 @@ class StepProblem(NamedTuple):
     dz_still: Array
 
     def dz(self, end: Array) -> Array:
-        """Increment of internal states with a velocity at the end, shape (nz,)."""
+        """Return the increment of internal states with a velocity at the end, shape (nz,)."""
         increment: Array = self.dz_still + self.slopes.by_v.dot(end)
         return increment
 
@@ -93,7 +93,7 @@ class StepProblem(NamedTuple):
         return self.acting.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
 
     def hits(self, closed: Which) -> Which:
-        """Closed rows that approach faster than the forces of one step make them."""
+        """Return closed rows that approach faster than the forces of one step make them."""
         if not len(closed):
             return closed
         if not (closed & (self.rate < 0.0)).any():
@@ -117,16 +117,16 @@ class StepProblem(NamedTuple):
         return self.J[on].dot(free) + self.offset[on] + self.rates_left(on)
 
     def speed(self, v: Array) -> float:
-        """A velocity in the mass metric."""
+        """Return a velocity in the mass metric."""
         return max(float(v.dot(self.M).dot(v)), 0.0) ** 0.5
 
     def slight(self, v: Array) -> Array:
-        """Rates of the rows that are none beside a velocity, shape (m,)."""
+        """Return rates of the rows that are none beside a velocity, shape (m,)."""
         none: Array = _SLIGHT * self.speed(v) * np.sqrt(np.maximum(self.response.loose, 0.0))
         return none
 
     def rates_left(self, on: NDArray[np.intp]) -> Array:
-        """The g' that rows may keep, since gaps are left at the end, shape (len(on),)."""
+        """Return g' that rows may keep, since gaps are left at the end, shape (len(on),)."""
         room = np.maximum(self.left[on], 0.0) / (self.h * self.theta)
         return np.where(self.acting.pushes[on], room, 0.0)
 
@@ -155,11 +155,11 @@ class UnilateralSolver:
         """Begin to look for the largest residuals anew."""
 
     def early_slips(self, problem: StepProblem, end: Array) -> Slots | None:
-        """Tangents of contacts whose slips end within the step; without contacts None."""
+        """Return tangents of contacts whose slips end within the step; without contacts None."""
         return None
 
     def first_slip_end(self, slips: Slots, problem: StepProblem, end: Array) -> float:
-        """When the first of some slips ends [s]."""
+        """Return when the first of some slips ends [s]."""
         return 0.0
 
     def accept(self) -> None:
@@ -172,7 +172,7 @@ class UnilateralSolver:
     def end(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:
-        """Velocity at the end of the step, from that without rows that give way.
+        """Return the velocity at the end of the step, from that without rows that give way.
 
         Args:
             closed: One-sided rows that may push.
@@ -191,7 +191,7 @@ class UnilateralSolver:
         return free + self._change(problem, on, free)
 
     def _change(self, problem: StepProblem, on: NDArray[np.intp], free: Array) -> Array:
-        """What the impulses of some rows add to a velocity.
+        """Return what the impulses of some rows add to a velocity.
 
         Args:
             free: The velocity without them.
@@ -209,7 +209,7 @@ class UnilateralSolver:
         return change
 
     def _bounds(self, problem: StepProblem, at: NDArray[np.intp]) -> tuple[Array, Array]:
-        """Smallest and largest impulses of rows in a step."""
+        """Return the smallest and largest impulses of rows in a step."""
         return problem.h * self._rows.lower[at], problem.h * self._rows.upper[at]
 
 
@@ -231,7 +231,7 @@ class StepRows:
         )
 
     def turning(self, v: Array) -> float:
-        """How fast bodies beside contacts turn with a velocity of all joints [rad/s]."""
+        """Return how fast bodies beside contacts turn with a velocity of all joints [rad/s]."""
         return 0.0
 
     def begin(self, q: Array) -> None:
@@ -241,7 +241,7 @@ class StepRows:
         """Learn to which configuration all joints moved, and how far, shape (nv,)."""
 
     def at(self, x: State, free: Array, h: float) -> RowsAt:
-        """The rows at a state of all joints, with bounds that are those of it.
+        """Return the rows at a state of all joints, with bounds that are those of it.
 
         Args:
             x: The state, on the way of a step.
@@ -256,7 +256,7 @@ class StepRows:
         return RowsAt(self.every, J, drift, rows.residual(k, x), rows.rate(k, x))
 
     def gaps(self, x: State) -> Array | None:
-        """The g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
+        """Return g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
 
         Returns:
             None where no row may be beyond 0.
@@ -265,7 +265,7 @@ class StepRows:
         return np.where(self.every.pushes, self.rows.residual(self._k, x), np.inf)
 
     def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
-        """How impulses of the rows move the joints.
+        """Return how impulses of the rows move the joints.
 
         Args:
             held: What moves them, for other rows.
@@ -275,7 +275,7 @@ class StepRows:
         return held.of(J)
 
     def jacobian(self, x: State, on: NDArray[np.intp]) -> Array:
-        """Some rows of dg/dq at a state of all joints."""
+        """Return some rows of dg/dq at a state of all joints."""
         self._k.refresh(x.q, x.v, self._of_J)
         return self.rows.jacobian(self._k, x)[on]
 
@@ -318,7 +318,7 @@ class Acting(NamedTuple):
     tangents: NDArray[np.intp]
 
     def chosen(self, on: NDArray[np.intp]) -> Acting:
-        """Some of them; of a contact all rows or none.
+        """Return some of them; of a contact all rows or none.
 
         Args:
             on: Their places here, in the order that is wanted.
@@ -342,7 +342,7 @@ def _acting(
 
 
 def every(rows: ConstraintRows) -> Acting:
-    """All rows that give way."""
+    """Return all rows that give way."""
     pushes = np.zeros(len(rows.rows), dtype=np.bool_)
     for block, mine in zip(rows.blocks, rows.slices, strict=True):
         pushes[mine] = block.law.kind is Kind.UNILATERAL

@@ -104,7 +104,7 @@ class Clearance:
         return self.room > 0.0
 
     def _gap(self, y: State) -> float:
-        """The smallest gap, as a way of all joints together [rad or m]."""
+        """Return the smallest gap, as a way of all joints together [rad or m]."""
         x, gap = self._expand(y), math.inf
         if len(self._q):
             q: Array = x.q[self._q]
@@ -134,7 +134,7 @@ class ContactRoom:
         self._speed = GapSpeed(system.robot, bodies)
 
     def shortest(self, x: State) -> float:
-        """A way of all joints together on which no gap closes, at a state of all joints."""
+        """Return a way of all joints together on which no gap closes, at a state of all joints."""
         k = self._k
         k.refresh(x.q, x.v, Reads.POSITION)
         gaps = np.array([part.residual(k, x)[::3].min() for part in self._parts])

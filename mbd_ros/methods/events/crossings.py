@@ -35,7 +35,7 @@ class Crossing(Protocol):
         """See the attributes of the class."""
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """The number at a state of all joints.
+        """Return the number at a state of all joints.
 
         Args:
             k: Kinematics there, refreshed as far as `reads` says.
@@ -115,7 +115,7 @@ class Footing(NamedTuple):
         return min(float(n.dot(inside)) for inside in self.edges(k))
 
     def edges(self, k: Kinematics) -> list[Array]:
-        """Distances d_i / d of the points from each edge, shape (n,) each."""
+        """Return distances d_i / d of the points from each edge, shape (n,) each."""
         places = self.contact.pair.places(k)
         away = places.point - places.point.mean(axis=0)
         return _inside(away.dot(places.axes[0][:, :2]))
@@ -174,7 +174,7 @@ class Combination(NamedTuple):
 
 
 def sign_change(f: Callable[[float], float], near: Point, far: Point, width: float = 0.0) -> float:
-    """Argument between two others at which f changes its sign.
+    """Return argument between two others at which f changes its sign.
 
     Bisection, or inverse quadratic interpolation where that is safe; ends when the bracket is a
     few units of rounding wide.
@@ -206,7 +206,7 @@ def sign_change(f: Callable[[float], float], near: Point, far: Point, width: flo
 
 
 def _interpolated(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float]) -> float:
-    """Part of the way from a to b at which to look next."""
+    """Return the part of the way from a to b at which to look next."""
     (xa, fa), (xb, fb), (xc, fc) = a, b, c
     if fb == fc or fa in (fb, fc):
         return 0.5
@@ -265,7 +265,7 @@ class PartGuards:
         self._owners = [part for part, _ in self._parts for _ in part.guards]
 
     def values(self, y: State, u: Array | None, mode: Mode) -> Array:
-        """Values of all guards at a state of what is integrated, shape (n,).
+        """Return values of all guards at a state of what is integrated, shape (n,).
 
         Raises:
             ModelError: A part has another number of values than of guards.
@@ -287,7 +287,7 @@ class PartGuards:
         return np.concatenate(found)
 
     def sides(self, values: Array, slack: float, mode: Mode, left: Collection[int]) -> list[int]:
-        """The side on which each guard is watched, 0 where it does not act.
+        """Return the side on which each guard is watched, 0 where it does not act.
 
         Args:
             values: At the start of a step.

@@ -113,7 +113,7 @@ class PhaseReset:
         self._level = None if striking is None else ImpactMap(striking)
 
     def after(self, x: State) -> Struck:
-        """State of all joints after it.
+        """Return the state of all joints after it.
 
         Args:
             x: State of all joints before it.
@@ -193,7 +193,7 @@ class Relabelling(NamedTuple):
     B: Array
 
     def after(self, x: State) -> State:
-        """The state under the new names."""
+        """Return the state under the new names."""
         q, v, z = x.q.copy(), x.v.copy(), x.z.copy()
         q[self.q] = self.A.dot(x.q[self.q]) + self.b
         v[self.v] = self.A.dot(x.v[self.v])
@@ -221,7 +221,7 @@ class PhaseGuards(Part):
         self.reads = max((one.reads for one in self._crossings), default=Reads.NOTHING)
 
     def guard_values(self, k: Kinematics, x: State, u: Array, now: Now) -> Array:
-        """The numbers of exits and checks, shape (n,)."""
+        """Return the numbers of exits and checks, shape (n,)."""
         return np.array([one.value(k, x, now.lam) for one in self._crossings])
 
 
@@ -359,7 +359,7 @@ class PhaseSteps(Stepper):
         return self.system.outward(self._stepped, self._steppers[self._stepped].interpolate(t))
 
     def _ended(self, y: State, u: Array | None, fired: Sequence[str]) -> State:
-        """The state in the next phase."""
+        """Return the state in the next phase."""
         system, old = self.system, self.now
         phase = self.phases[old]
         exit_ = next((e for e in phase.exits if label(phase, e.name) in fired), None)
@@ -386,7 +386,7 @@ class PhaseSteps(Stepper):
         return outer
 
     def _entered(self, x: State, u: Array | None, phase: Phase, exit_: Exit) -> State:
-        """The first state of the phase that has just become the present one."""
+        """Return the first state of the phase that has just become the present one."""
         new, inner = self.phases[self.now], self._steppers[self.now]
         system = self.system.systems[self.now]
         y = system.reduce(x._replace(mode=()))

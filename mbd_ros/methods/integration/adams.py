@@ -117,7 +117,7 @@ class AdamsSteps(Stepper):
         self.restart()
 
     def interpolate(self, t: float) -> State:
-        """State inside the last step, of the order of the method.
+        """Return the state inside the last step, of the order of the method.
 
         Raises:
             ModelError: t [s] is outside the last step.
@@ -137,7 +137,7 @@ class AdamsSteps(Stepper):
         return State(t, q, start.v + dt * once.dot(a), mode=self._mode)
 
     def checkpoint(self) -> Memory:
-        """Accelerations of earlier steps, and where the next one stands among them."""
+        """Return accelerations of earlier steps, and where the next one stands among them."""
         rows = self._B.copy(), self._done()
         return {**super().checkpoint(), "rows": rows, "starter": self._starter.checkpoint()}
 
@@ -159,13 +159,13 @@ class AdamsSteps(Stepper):
             self._last = x
 
     def _done(self) -> int:
-        """How many of the turns lie behind, 0 before the first one."""
+        """Return how many of the turns lie behind, 0 before the first one."""
         heads = ((row, head) for row, _, _, head, _, _ in self._turns)
         turns = [row is self._row and head is self._head for row, head in heads]
         return 1 + turns.index(True) if True in turns else 0
 
     def began(self) -> State:
-        """The state from which the last step began, one of several at once too.
+        """Return the state from which the last step began, one of several at once too.
 
         Raises:
             ModelError: No step was taken.
@@ -179,13 +179,13 @@ class AdamsSteps(Stepper):
         return self._start
 
     def _accelerations(self) -> Array:
-        """Those of the last step, the newest first, shape (order, nv)."""
+        """Return those of the last step, the newest first, shape (order, nv)."""
         last = self._done() - 1
         rows: Array = np.array([self._turns[last - age][0] for age in range(len(self._ages))])
         return rows
 
     def _slow_step(self, x: State, u: Array | None, end: float) -> State:
-        """A step that starts the method, or that ends at `end`."""
+        """Return a step that starts the method, or that ends at `end`."""
         h, t = clip(x.t, self._dt, end)
         if h <= 0.0:
             return x
@@ -215,7 +215,7 @@ class AdamsSteps(Stepper):
 
 
 def adams_weights(order: int, dt: float) -> tuple[Array, Array]:
-    """Weights of the accelerations by age in the changes of q and v.
+    """Return weights of the accelerations by age in the changes of q and v.
 
     Integrals of the Lagrange polynomials over the step.
     """
@@ -224,7 +224,7 @@ def adams_weights(order: int, dt: float) -> tuple[Array, Array]:
 
 
 def starter(order: int) -> Tableau:
-    """The Runge-Kutta method that takes the first steps.
+    """Return the Runge-Kutta method that takes the first steps.
 
     Errors of the first steps do not add up: one order less than that of the method will do.
     """
@@ -232,7 +232,7 @@ def starter(order: int) -> Tableau:
 
 
 def turns(order: int, nv: int, dt: float) -> tuple[Array, list[tuple[Any, ...]]]:
-    """What the steps need in turn, until everything is back in place.
+    """Return what the steps need in turn, until everything is back in place.
 
     Returns:
         B with both places of [q; v]. For each turn: row of the newest acceleration, product with
@@ -271,7 +271,7 @@ def integrals(places: Sequence[float] | Array, theta: float) -> tuple[Array, Arr
 
 
 def _bases(places: Sequence[float] | Array) -> list[Array]:
-    """The polynomials that are 1 at one place and 0 at the others, highest power first."""
+    """Return the polynomials that are 1 at one place and 0 at the others, highest power first."""
     found = []
     for i, place in enumerate(places):
         basis = np.atleast_1d(np.poly(np.delete(places, i)))
@@ -280,7 +280,7 @@ def _bases(places: Sequence[float] | Array) -> list[Array]:
 
 
 def powers(places: Sequence[float] | Array) -> tuple[Array, Array]:
-    """The same weights as polynomials of theta.
+    """Return the same weights as polynomials of theta.
 
         once[i] = sum_k first[i, k] theta^(k + 1),   twice[i] = sum_k second[i, k] theta^(k + 2)
 

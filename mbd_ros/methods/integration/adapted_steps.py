@@ -31,7 +31,7 @@ class AdaptedSteps(Stepper):
         return x if after is before else self._kept(after)
 
     def settle(self, x: State, u: Array | None) -> State:
-        """The first state with the mode in which it goes on."""
+        """Return the first state with the mode in which it goes on."""
         return self._kept(self._inner.settle(self._known(x), u))
 
     def restart(self) -> None:
@@ -40,7 +40,7 @@ class AdaptedSteps(Stepper):
         self._last = (None, None)
 
     def checkpoint(self) -> Memory:
-        """What the method remembers, and the last state in both forms."""
+        """Return what the method remembers, and the last state in both forms."""
         return {"last": copied(self._last), "inner": self._inner.checkpoint()}
 
     def restore(self, checkpoint: Memory, x: State) -> None:
@@ -49,7 +49,7 @@ class AdaptedSteps(Stepper):
         self._inner.restore(checkpoint["inner"], self._known(x))
 
     def again(self, h: float, t: float) -> State:
-        """The last step taken again with another length."""
+        """Return the last step taken again with another length."""
         return self._kept(self._inner.again(h, t))
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
@@ -71,19 +71,19 @@ class AdaptedSteps(Stepper):
         self._inner.pace = pace
 
     def interpolate(self, t: float) -> State:
-        """State inside the last step, by the dense output of the method."""
+        """Return the state inside the last step, by the dense output of the method."""
         return self._given(self._inner.interpolate(t))
 
     def _adapted(self, x: State) -> State:
-        """A state in the form of the method."""
+        """Return a state in the form of the method."""
         raise NotImplementedError
 
     def _given(self, after: State) -> State:
-        """A state of the method in the form of the system."""
+        """Return a state of the method in the form of the system."""
         raise NotImplementedError
 
     def _moved(self, x: State) -> State:
-        """A state in the form of the method, near the last one."""
+        """Return a state in the form of the method, near the last one."""
         return self._adapted(x)
 
     def _known(self, x: State) -> State:
@@ -135,7 +135,7 @@ class InternalSteps(AdaptedSteps):
         self.system = None if followed is None else followed.system
 
     def again(self, h: float, t: float) -> State:
-        """The last step taken again with another length."""
+        """Return the last step taken again with another length."""
         after = self._inner.again(h, t)
         x = self._whole.parted(after)
         self._last = x, after
@@ -150,14 +150,14 @@ class InternalSteps(AdaptedSteps):
         return self._whole.parted(after)
 
     def _kept(self, after: State) -> State:
-        """The state after a step; the method goes on from bounds where it went beyond."""
+        """Return the state after a step; the method goes on from bounds where it went beyond."""
         x = super()._kept(after)
         if _is_beyond(x, after):
             self.continue_from(x)
         return x
 
     def _moved(self, x: State) -> State:
-        """A state with the integrals of the last one."""
+        """Return a state with the integrals of the last one."""
         joined = self._last[1]
         return self._whole.joined(x, None if joined is None else joined.q[self._nq :])
 

@@ -54,11 +54,11 @@ class Configuration:
             self.lift: Array = factor.motion(unit)
 
     def respond(self, force: Array) -> Array:
-        """M^-1 force, shape (nv,)."""
+        """Return M^-1 force, shape (nv,)."""
         return self._mass.solve(force)
 
     def project(self, v: Array) -> Array:
-        """The nearest velocity, in the mass metric, with J v + dg/dt = 0."""
+        """Return the nearest velocity, in the mass metric, with J v + dg/dt = 0."""
         nearest: Array = v - self.lift.dot(self._J.dot(v) + self._rate)
         return nearest
 
@@ -87,7 +87,7 @@ class ConstrainedVerlet:
         self._here: Configuration | None = None
 
     def checkpoint(self) -> Memory:
-        """Corrections of the last step, from which the next one starts."""
+        """Return corrections of the last step, from which the next one starts."""
         return {name: copied(getattr(self, name)) for name in _KEPT}
 
     def restore(self, checkpoint: Memory) -> None:
@@ -112,7 +112,7 @@ class ConstrainedVerlet:
         share: float,
         force: Array,
     ) -> tuple[Array, Array]:
-        """Velocity w of the step and the configuration it leads to.
+        """Return the velocity w of the step and the configuration it leads to.
 
         Args:
             move: Length of the step and the time it ends at [s].
@@ -164,7 +164,7 @@ class ConstrainedVerlet:
     def _move(
         self, here: Configuration, w: Array, s: Array, move: PositionStep
     ) -> tuple[Array, Array, Array]:
-        """The s, w - lift s and the configuration, with g = 0 there.
+        """Return the s, w - lift s and the configuration, with g = 0 there.
 
         The rows at the start serve as derivatives. The observed contraction, also that of the last
         step, lengthens or shortens corrections (Aitken), which for one row is the secant method.

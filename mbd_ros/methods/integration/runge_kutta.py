@@ -85,7 +85,7 @@ def rk_stages(
 
 
 def runge_kutta(system: Any, tableau: Tableau, dt: float, tolerance: float | None) -> RungeKutta:
-    """The stepper for fixed steps, or with a tolerance for adaptive ones."""
+    """Return the stepper for fixed steps, or with a tolerance for adaptive ones."""
     if tolerance is None:
         return RungeKutta(system, tableau, dt)
     return AdaptiveRungeKutta(system, tableau, dt, tolerance)
@@ -149,13 +149,13 @@ class RungeKutta(Stepper):
         return self._after
 
     def errors(self) -> Array:
-        """Error estimates of [dq; v] over the last step, shape (m, 2 nv)."""
+        """Return the error estimates of [dq; v] over the last step, shape (m, 2 nv)."""
         weights = self._tableau.errors
         errors: Array = self._h * weights.dot(self._rates(weights.shape[1]))
         return errors
 
     def interpolate(self, t: float) -> State:
-        """State inside the last step, by the dense output of the method.
+        """Return the state inside the last step, by the dense output of the method.
 
         Raises:
             ModelError: t [s] is outside the last step.
@@ -273,14 +273,14 @@ class AdaptiveRungeKutta(RungeKutta):
         self._length, self._last_error = 0.0, _SMALL_ERROR
 
     def _factor(self, error: float) -> float:
-        """Change of the step length after an accepted step."""
+        """Return the change of the step length after an accepted step."""
         error = max(error, _NO_ERROR)
         factor = error ** (0.75 * _MEMORY - self._power) * self._last_error**_MEMORY
         self._last_error = max(error, _SMALL_ERROR)
         return float(max(_LEAST, _SAFETY * factor))
 
     def _scale(self, x: State) -> Array:
-        """Size of an error that counts as one, shape (2 nv,)."""
+        """Return the size of an error that counts as one, shape (2 nv,)."""
         scale, nv = self._weights, len(x.v)
         scale[:nv] = x.q if self._chart.is_flat else 0.0
         scale[nv:] = x.v
@@ -312,7 +312,7 @@ class AdaptiveRungeKutta(RungeKutta):
 
 
 def _norm(errors: Array) -> float:
-    """Root mean square of an error estimate, or of the two of DOP853 combined."""
+    """Return the root mean square of an error estimate, or of the two of DOP853 combined."""
     square = errors[0].dot(errors[0])
     if len(errors) == 2:
         whole = square + 0.01 * errors[1].dot(errors[1])
@@ -362,7 +362,7 @@ class Tableau(NamedTuple):
         return np.vstack([hermite, self.dense.reshape(-1, len(step))])
 
     def weights(self, theta: float) -> Array:
-        """Weights w of the rates with y(t + theta h) = y + h sum_i w_i k_i, shape (n,).
+        """Return weights w of the rates with y(t + theta h) = y + h sum_i w_i k_i, shape (n,).
 
             y + theta (F0 + (1 - theta) (F1 + theta (F2 + (1 - theta) (F3 + ..))))
 
@@ -378,7 +378,7 @@ class Tableau(NamedTuple):
 
 
 def matrix(rows: Sequence[Mapping[int, float]], columns: int) -> Array:
-    """Dense matrix of rows that are given as {column: value}."""
+    """Return the dense matrix of rows that are given as {column: value}."""
     full = np.zeros((len(rows), columns))
     for row, values in zip(full, rows, strict=True):
         row[list(values)] = list(values.values())

@@ -144,7 +144,7 @@ class Stepper:
         return self.step(x, u, end), 1
 
     def settle(self, x: State, u: Array | None) -> State:
-        """The first state with the mode in which it goes on.
+        """Return the first state with the mode in which it goes on.
 
         Args:
             x: State from which the first step starts.
@@ -161,7 +161,7 @@ class Stepper:
         return ()
 
     def take_events(self) -> Sequence[Any]:
-        """What has happened since the start or the last call; it is forgotten."""
+        """Return what has happened since the start or the last call; it is forgotten."""
         return ()
 
     @property
@@ -183,7 +183,7 @@ class Stepper:
         """Begin to look for the worst residuals anew."""
 
     def checkpoint(self) -> Memory:
-        """What later steps depend on beside their arguments, as a value of its own."""
+        """Return what later steps depend on beside their arguments, as a value of its own."""
         return {name: copied(getattr(self, name)) for name in self.kept}
 
     def restore(self, checkpoint: Memory, x: State) -> None:
@@ -197,7 +197,7 @@ class Stepper:
             setattr(self, name, recognised(copied(value), x))
 
     def again(self, h: float, t: float) -> State:
-        """The last step taken again from its start, with the order of the method.
+        """Return the last step taken again from its start, with the order of the method.
 
         Args:
             h: Another length [s].
@@ -221,7 +221,7 @@ class Stepper:
         """Go on from a state that stabilization has made of the last one, history kept."""
 
     def interpolate(self, t: float) -> State:
-        """State at a time inside the last step, for methods with dense output."""
+        """Return the state at a time inside the last step, for methods with dense output."""
         raise NotImplementedError
 
     @property
@@ -246,7 +246,7 @@ class Stepper:
         return None
 
     def first_event(self, left: Collection[int]) -> tuple[float, int] | None:
-        """When a gap closes in the last step before anything else happens.
+        """Return when a gap closes in the last step before anything else happens.
 
         Args:
             left: Switches that the motion is just leaving.
@@ -333,7 +333,7 @@ class BlockStepper(Stepper):
         raise NotImplementedError
 
     def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
-        """The samples after the newest one.
+        """Return the samples after the newest one.
 
         Args:
             times: The `SampleTimes` of the run.
@@ -346,7 +346,7 @@ class BlockStepper(Stepper):
     def whole(
         self, y: State, first: Array, times: Any, held: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
-        """What takes a run from its start to its end at once, again and again.
+        """Return what takes a run from its start to its end at once, again and again.
 
         Its rows are those of a `SampleBlock`; None where the run stopped earlier.
 

@@ -55,12 +55,12 @@ class GaussLegendre(Integrator):
         self.order = 2 * stages
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s]."""
+        """Return a stepper for one system and one step size [s]."""
         return _Steps(self, system, dt)
 
 
 def _tableau(stages: int) -> tuple[Array, Array, Array]:
-    """Coefficients a, b, c of the collocation."""
+    """Return coefficients a, b, c of the collocation."""
     c = 0.5 + 0.5 * np.polynomial.legendre.leggauss(stages)[0]
     k = np.arange(1, stages + 1)
     lagrange = np.linalg.inv(np.vander(c, increasing=True))
@@ -109,7 +109,7 @@ class _Steps(Stepper):
         return self._advance(x, u, h, t)
 
     def again(self, h: float, t: float) -> State:
-        """The last step once more by another length, with the same derivatives."""
+        """Return the last step once more by another length, with the same derivatives."""
         places = np.minimum(self._c * (h / self._h), 1.0)
         guess = np.vander(places, len(places), increasing=True).dot(self._vander)
         self._K, self._turn = guess.dot(self._K), guess.dot(self._turn)
@@ -125,7 +125,7 @@ class _Steps(Stepper):
         self.restart()
 
     def interpolate(self, t: float) -> State:
-        """State inside the last step, by the polynomial of the collocation.
+        """Return the state inside the last step, by the polynomial of the collocation.
 
         Raises:
             ModelError: t [s] is outside the last step.
@@ -150,7 +150,7 @@ class _Steps(Stepper):
         return State(t, q, v, mode=self._mode)
 
     def _advance(self, x: State, u: Array | None, h: float, t: float) -> State:
-        """The step that has begun."""
+        """Return the step that has begun."""
         rate = FAILED
         if not self._is_slow:
             rate = self._solve(x, u, h)
@@ -219,7 +219,7 @@ class _Steps(Stepper):
         return rate
 
     def _flat_stages(self, x: State, u: Array | None) -> float:
-        """Residual of every stage where q is a vector space."""
+        """Return the residual of every stage where q is a vector space."""
         K = self._K
         V = x.v + self._ha.dot(K)
         Q = (x.q + self._hc * x.v) + self._hhaa.dot(K)

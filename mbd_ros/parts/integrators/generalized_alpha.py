@@ -52,7 +52,7 @@ class GeneralizedAlpha(Integrator):
         self.tolerance = tolerance
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s].
+        """Return a stepper for one system and one step size [s].
 
         Raises:
             ModelError: The system has one-sided rows.

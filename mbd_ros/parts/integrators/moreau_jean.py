@@ -38,7 +38,7 @@ class MoreauJean(Integrator):
         self.order = 2 if theta == 0.5 else 1
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """The stepper for one system and one step size [s]."""
+        """Return the stepper for one system and one step size [s]."""
         return _Steps(system, self.theta, dt)
 
 

@@ -43,7 +43,7 @@ class Rattle(Integrator):
         self.tolerance = tolerance
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s].
+        """Return a stepper for one system and one step size [s].
 
         Raises:
             ModelError: The system has one-sided rows, or rows of velocities.
@@ -79,7 +79,7 @@ class _Steps(Stepper):
         self._last = (x, *self._last[1:])
 
     def checkpoint(self) -> Memory:
-        """Force and corrections of the last step."""
+        """Return the force and corrections of the last step."""
         return {**super().checkpoint(), "verlet": self._verlet.checkpoint()}
 
     def restore(self, checkpoint: Memory, x: State) -> None:

@@ -54,7 +54,7 @@ class SemiImplicitEuler(Integrator):
         return spectral_radius(np.vstack([position, velocity]))
 
     def _growth_on_springs(self, motion: SpringMotion, dt: float) -> float:
-        """The same without eigenvalues of an unsymmetric matrix, where that tells.
+        """Return the same without eigenvalues of an unsymmetric matrix, where that tells.
 
         With A = K dt^2, B = C dt and T = dt^2 times the stiffness of bristles, which lag one step
         behind velocities, a power z of a step solves, implicitly damped and explicitly,
@@ -77,7 +77,7 @@ class SemiImplicitEuler(Integrator):
         return spectral_radius(np.vstack([np.hstack([unit, 0.0 * unit]) + velocity, velocity]))
 
     def prepare(self, system: Any, dt: float) -> "SemiImplicitEulerStepper":
-        """The stepper for one system and one step size [s]."""
+        """Return the stepper for one system and one step size [s]."""
         if self.damping == "implicit":
             return ImplicitDampingStepper(system, dt)
         return SemiImplicitEulerStepper(system, dt)

@@ -51,7 +51,7 @@ class Shake(Integrator):
         self.velocity = velocity
 
     def prepare(self, system: Any, dt: float) -> Stepper:
-        """A stepper for one system and one step size [s].
+        """Return a stepper for one system and one step size [s].
 
         Raises:
             ModelError: The system has one-sided rows, or rows of velocities.
@@ -88,7 +88,7 @@ class _Steps(Stepper):
         self._verlet.restart()
 
     def checkpoint(self) -> Memory:
-        """The half-step that was solved ahead, and the last corrections."""
+        """Return the half-step that was solved ahead, and the last corrections."""
         return {**super().checkpoint(), "verlet": self._verlet.checkpoint()}
 
     def restore(self, checkpoint: Memory, x: State) -> None:

@@ -198,7 +198,7 @@ def test_bounds_that_depend_on_the_state_are_those_of_that_state():
             assert found.lam == pytest.approx(expected.lam, rel=1e-15)
             assert abs(speed) < 1.0 or abs(found.lam[0]) == limit
     crossed = built(Held(box(lambda k, x: x.q[0], 1.0)))
-    with pytest.raises(SolveError, match="lower bound of row held.held_0 is above its upper bound"):
+    with pytest.raises(SolveError, match="bound of row held.held_0 is above its upper bound"):
         crossed.evaluate(State(0.0, np.full(3, 2.0), np.ones(3)))
 
 
