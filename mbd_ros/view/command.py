@@ -56,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
             page.show(arguments.motion, topic=arguments.topic)
         if arguments.ghost is not None:
             page.show_ghost(arguments.ghost, topic=arguments.topic)
-        say_all(page.said)
+        say_all(page.notes)
         say(f"{page.address}  (Ctrl-C ends it)")
         if not arguments.no_browser:
             import webbrowser
@@ -83,15 +83,15 @@ def _write(arguments: argparse.Namespace, scene: "Scene") -> int:
         raise DataError(f"{out}: the page is a .html file")
     if arguments.parameter:
         raise DataError("--parameter: sliders are of the page that is served, not of that of -o")
-    rows, motion, said = Frames(scene).rows, arguments.motion, list[str]()
+    rows, motion, lines_ = Frames(scene).rows, arguments.motion, list[str]()
     if motion is None:
         rerun = Rerun(scene)
         rerun.duration = arguments.time
-        _, motion, said = rerun.run({})
+        _, motion, lines_ = rerun.run({})
     viewed = viewed_motion(scene, motion, rows, topic)
     ghost = arguments.ghost and viewed_motion(scene, arguments.ghost, rows, topic)
     page = animated_page(scene, viewed, Path(scene.name).name, ghost)
     with replacing(out) as file:
         file.write(page.text.encode())
-    say_all([*page.remarks, *viewed.remarks, *said, f"{out}: {len(page.text) / 1e6:.1f} MB"])
+    say_all([*page.remarks, *viewed.remarks, *lines_, f"{out}: {len(page.text) / 1e6:.1f} MB"])
     return OK

@@ -37,7 +37,7 @@ _PLATE = 20.0  # side of the piece of a half space that is shown, over the reach
 
 
 def solids_of_scene(scene: Scene) -> tuple[list[Solid], list[str]]:
-    """What links look like, and what contacts see of links that show bones alone.
+    """Return the visible solids of links, and contact shapes of links that show only bones.
 
     Returns:
         Solids, and lines on what cannot be drawn.
@@ -71,7 +71,7 @@ def _contact_solids(robot: Robot, side: Side) -> Iterator[Solid]:
 
 
 def _contact_surfaces(shape: Any) -> Iterator[Surface]:
-    """Of shapes that have some."""
+    """Yield the surfaces of a contact shape, if it has any."""
     if isinstance(shape, shapes.Sphere) and shape.radius > 0.0:
         yield surfaces.sphere(shape.radius)
     elif isinstance(shape, shapes.Box):
@@ -98,15 +98,15 @@ def _centres(shape: Any, at: Any) -> Sequence[Any]:
 def _planes(robot: Robot, sides: Iterable[Side]) -> Iterator[Any]:
     """Half spaces at rest that are not the floor, which the grid shows, each once."""
     floor = upright(robot)[:, 2]
-    found = dict[bytes, Any]()
+    planes = dict[bytes, Any]()
     for side in sides:
         for shape in side.shapes:
             place = robot.places.points[shape.at.number]
             if isinstance(shape, shapes.HalfSpace) and place.joint == 0:
                 normal = place.at.rotation[:, 2]
                 if not np.allclose(normal, floor, atol=1e-6):
-                    found[np.round(place.at.homogeneous, 9).tobytes()] = place.at
-    yield from found.values()
+                    planes[np.round(place.at.homogeneous, 9).tobytes()] = place.at
+    yield from planes.values()
 
 
 class Solid(NamedTuple):

@@ -234,7 +234,7 @@ class ControlPipeline:
         x = self._newest()
         return x.t, self._controlled.positions(x), self._controlled.velocities(x)
 
-    def held(self) -> list[str]:
+    def held_joints(self) -> list[str]:
         """Independent joints that the newest joint state lacked."""
         dependent = self.scene.couplings.dependent
         return [name for name in self.joints.missing if name not in dependent]
@@ -256,7 +256,7 @@ class ControlPipeline:
             "gravity": f"included, {robot.model.gravity.linear.tolist()} m/s^2",
             "joints dropped": ", ".join(robot.locked) or "none",
             "joints reconstructed": ", ".join(reconstructed) or "none",
-            "joints held": ", ".join(self.held()) or "none",
+            "joints held": ", ".join(self.held_joints()) or "none",
             "solver tier": self._controlled.system.tier,
             "distance from couplings": f"{np.abs(self._violation).max(initial=0.0):.6g}",
             "distance from loops": f"{self._observed.correction:.6g}",
@@ -318,14 +318,14 @@ class References:
         Raises:
             TargetError: It is refused.
         """
-        selection, held = self._selection(trajectory.names, True), self._generator.at(now).q
-        given, rest = selection.is_given, np.zeros(len(held))
+        selection, current = self._selection(trajectory.names, True), self._generator.at(now).q
+        is_named, rest = selection.is_given, np.zeros(len(current))
         parts = trajectory.velocity, trajectory.acceleration
         v, a = (
-            None if part is None else np.where(given, selection.rates(part), rest)
+            None if part is None else np.where(is_named, selection.rates(part), rest)
             for part in parts
         )
-        q = np.where(given, selection.positions(trajectory.position), held)
+        q = np.where(is_named, selection.positions(trajectory.position), current)
         trajectory = self._generator.plan(now, begin + trajectory.times, q, v, a)
         return Plan(trajectory, begin, selection.note)
 

@@ -96,17 +96,17 @@ class PayloadEstimatorNode(Shell):
     def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Take one joint state."""
         try:
-            found = self._pipeline.answer(stamp, sample)
+            answer_ = self._pipeline.answer(stamp, sample)
         except SolveError as error:
             self._stream.drop("unsolved", f"joint_states: {error}")
             return None
-        if isinstance(found, SampleStatus):
-            return found
-        if isinstance(found, Carried):
-            numbers = found.mass, found.centre, found.moments
+        if isinstance(answer_, SampleStatus):
+            return answer_
+        if isinstance(answer_, Carried):
+            numbers = answer_.mass, answer_.centre, answer_.moments
             self._payload.publish(
                 write_inertia(self._message, stamp, self._pipeline.frame, *numbers)
             )
-            self._covariance.publish(self._writer.write(found.covariance))
+            self._covariance.publish(self._writer.write(answer_.covariance))
         self._stream.note_answer(stamp)
         return None

@@ -109,18 +109,18 @@ class PayloadPipeline:
             return WARN, f"the motion does not show {', '.join(hidden)}"
         return OK, "payload published"
 
-    def held(self) -> Sequence[str]:
+    def held_joints(self) -> Sequence[str]:
         """Joints that nothing gives."""
         return ()
 
     def details(self) -> dict[str, str]:
         """The newest estimate, for diagnostics."""
-        found = self.estimate
-        sigma = np.sqrt(np.diag(found.covariance))
-        residual = ", ".join(f"{x:.3g}" for x in found.deviation)
+        payload = self.estimate
+        sigma = np.sqrt(np.diag(payload.covariance))
+        residual = ", ".join(f"{x:.3g}" for x in payload.deviation)
         return {
             "link": self.frame,
-            "mass": f"{found.numbers[0]:.6g} +- {sigma[0]:.2g} kg",
+            "mass": f"{payload.numbers[0]:.6g} +- {sigma[0]:.2g} kg",
             "not shown by the motion": ", ".join(self._hidden()) or "none",
             "residual of the joints": f"{residual} N·m or N",
             "joints without effort": ", ".join(self._lacking) or "none",
@@ -137,7 +137,7 @@ class PayloadPipeline:
 
 
 class Carried(NamedTuple):
-    """What the robot carries, in the axes of the link.
+    """The payload of the robot, in the axes of the link.
 
     Attributes:
         mass: [kg].

@@ -136,14 +136,14 @@ class StateEstimatorNode(Shell):
         except MessageError as error:
             self.drop("command", f"joint_commands: {error}")
 
-    def _on_sensor(self, one: SensorMessage) -> Callable[[Any], None]:
-        name = one.sensor.name
+    def _on_sensor(self, sensor_message: SensorMessage) -> Callable[[Any], None]:
+        name = sensor_message.sensor.name
 
         def take(msg: Any) -> None:
             try:
-                sample = one.read(msg)
+                sample = sensor_message.read(msg)
             except MessageError as error:
-                self.drop("sensor", f"{one.topic}: {error}")
+                self.drop("sensor", f"{sensor_message.topic}: {error}")
                 return
             stamp = self._stream.stamp_of(sample.stamp)
             if stamp is not None:

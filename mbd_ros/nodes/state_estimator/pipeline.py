@@ -91,12 +91,12 @@ class EstimatorPipeline:
         names = [joint.name for joint in scene.robot.joints]
         measured = list(values.measured) or names
         refuse_unknown(measured, names)
-        self.estimation = found = build_estimation(
+        self.estimation = setup = build_estimation(
             scene, task_of(values), measured, measured if values.velocities else ()
         )
         self.joints = JointStateReader(names)
         self.reader = JointStateCdrReader(self.joints, joint_state)
-        sensors = found.process.sensors
+        sensors = setup.process.sensors
         pairs = list(zip(sensors.sensors, sensors.slices, strict=True))
         at = {name: i for i, name in enumerate(names)}
         own = [(scene_sensor(s), mine) for s, mine in pairs]
@@ -108,14 +108,14 @@ class EstimatorPipeline:
         self.messages = sensor_messages(scene.robot, scene.sensors)
         ages = round(values.wrench_max_age / NANOSECOND), round(_REWIND / NANOSECOND)
         self.wrenches = {name: WrenchBuffer(*ages) for name in scene.wrenches}
-        self._inputs = found.scene.inputs.safe
-        slots = found.scene.inputs.slots
+        self._inputs = setup.scene.inputs.safe
+        slots = setup.scene.inputs.slots
         self._efforts = slots.get(EFFORTS)
         self._loads = [(slots[name], buffer) for name, buffer in self.wrenches.items()]
         self._driven = np.ones(len(names), dtype=np.bool_)
         self._driven[[row for row, _ in self._of_joints[-1]]] = False
         self._v = [joint.v for joint in scene.robot.joints]
-        self._writer = EstimateWriter(found, with_covariance=values.covariance)
+        self._writer = EstimateWriter(setup, with_covariance=values.covariance)
         self.forget()
 
     def forget(self) -> None:
@@ -199,14 +199,14 @@ class EstimatorPipeline:
                 self._begin(stamp, values, velocity)
             assert self.tracker is not None
             t = (stamp - self._origin) * NANOSECOND
-            advance, asked = max(t - self.tracker.belief.t, 0.0), perf_counter()
+            advance, begin = max(t - self.tracker.belief.t, 0.0), perf_counter()
             estimator = self.tracker.estimator
             estimator.is_late = self._debt > self._values.deadline
             self._late += estimator.is_late
             self._newest_u = u
             self.tracker.is_hurried = is_hurried
             taken = self.tracker.add_sample(t, values, u)
-            self._debt = max(0.0, self._debt + perf_counter() - asked - advance)
+            self._debt = max(0.0, self._debt + perf_counter() - begin - advance)
         finally:
             self._ended, spent = perf_counter(), thread_time() - began
             self._lag = max(0.0, self._lag + spent - min(advance, self._values.max_age))
@@ -221,21 +221,21 @@ class EstimatorPipeline:
         return [self._writer.write(one.belief, consistency, at, one.u) for one, at in pairs]
 
     def _begin(self, stamp: int, values: Array, velocity: Array) -> None:
-        found, kept = self.estimation, self._values
+        setup, parameters = self.estimation, self._values
         self._origin = stamp
-        start = found.scene.initial
+        start = setup.scene.initial
         first = start._replace(t=0.0, v=start.v.copy())
         told = np.flatnonzero(np.isfinite(velocity))
         first.v[[self._v[i] for i in told]] = velocity[told]
-        y = found.process.fit_state(found.process.consistent(first), values, found.prior)
-        found.estimator.begin(y, found.prior, 0.0)
-        options = {name: getattr(kept, name) for name in TRACKER}
-        longest = max(kept.max_age, kept.patience)
-        self.tracker = Tracker(found.estimator, found.process.sensors, longest=longest, **options)
+        y = setup.process.fit_state(setup.process.consistent(first), values, setup.prior)
+        setup.estimator.begin(y, setup.prior, 0.0)
+        options = {name: getattr(parameters, name) for name in TRACKER}
+        longest = max(parameters.max_age, parameters.patience)
+        self.tracker = Tracker(setup.estimator, setup.process.sensors, longest=longest, **options)
         if self._smoothing_lag:
-            self.tracker.window = LagWindow(found.process, self._smoothing_lag)
+            self.tracker.window = LagWindow(setup.process, self._smoothing_lag)
 
-    def held(self) -> Sequence[str]:
+    def held_joints(self) -> Sequence[str]:
         """Joints that nothing gives: none, all are estimated."""
         return ()
 
@@ -263,13 +263,13 @@ class EstimatorPipeline:
         return ", ".join(found.bounded_names[i] for i in estimator.given_up)
 
     def details(self) -> dict[str, str]:
-        """Of the newest estimate, for diagnostics."""
-        found = self.estimation
+        """Return figures of the newest estimate, for diagnostics."""
+        setup = self.estimation
         shown = {
             "estimator": self._values.estimator,
-            "measured": ", ".join(found.process.sensors.names),
-            "unknown efforts": ", ".join(found.disturbed) or "none",
-            "unknown numbers": ", ".join(found.deviations) or "none",
+            "measured": ", ".join(setup.process.sensors.names),
+            "unknown efforts": ", ".join(setup.disturbed) or "none",
+            "unknown numbers": ", ".join(setup.deviations) or "none",
             "inputs": self._values.inputs,
             "answers without the horizon": str(self._late),
         }
@@ -287,13 +287,13 @@ class EstimatorPipeline:
         }
 
 
-def refuse_unknown(given: Sequence[str], names: Sequence[str]) -> None:
+def refuse_unknown(chosen: Sequence[str], names: Sequence[str]) -> None:
     """Refuse joints that there are not.
 
     Raises:
         ParameterError: Names them and what there is.
     """
-    unknown = [name for name in given if name not in names]
+    unknown = [name for name in chosen if name not in names]
     if unknown:
         raise ParameterError(f"unknown joints {', '.join(unknown)}; accepted: {', '.join(names)}")
 
@@ -329,7 +329,7 @@ class EstimateWriter:
         self._x: State = estimation.process.start
         self._u: Array | None = NONE
         self._now: Evaluation | None = None
-        self._whole: Array | None = None
+        self._complete_rows: Array | None = None
 
     @property
     def now(self) -> Evaluation:
@@ -382,15 +382,15 @@ class EstimateWriter:
 
     def _rows(self, y: State) -> Array:
         """From steps of the tangent to positions, velocities and internal states."""
-        if self._whole is not None:
-            return self._whole
+        if self._complete_rows is not None:
+            return self._complete_rows
         tangent, nz = self._estimation.process.tangent, len(y.z)
         lift, nv = tangent.lift_to_joints(y), self._system.robot.model.nv
         rows = np.zeros((2 * len(self._v) + nz, tangent.n))
         rows[: len(rows) - nz] = lift[[*self._v, *(nv + v for v in self._v)]]
         rows[len(rows) - nz :, tangent.n - nz :] = np.eye(nz)
         if tangent.is_unconstrained:
-            self._whole = rows
+            self._complete_rows = rows
         return rows
 
     def _judged(self, belief: Belief, consistency: Consistency) -> bytes:

@@ -19,7 +19,7 @@ from mbd_ros.features.simulation.job import simulate
 from mbd_ros.files.bags.bag_reader import messages, topic_types
 from mbd_ros.files.bags.bag_writer import BagWriter
 from mbd_ros.files.table import Column, Result, Table
-from mbd_ros.nodes.inverse_dynamics.pipeline import MOST, WholeSamples
+from mbd_ros.nodes.inverse_dynamics.pipeline import MOST, SampleAssembler
 from msg_adapters.errors import MessageError
 from msg_adapters.joint_state_cdr import JointStateCdrWriter
 from msg_adapters.pose import OdometryCdrWriter, read_odometry
@@ -407,7 +407,7 @@ def test_the_simulator_publishes_each_robot_by_itself(two_arms):
 def whole_samples():
     deserialize = partial(deserialize_message, message_type=JointState)
     names = ("left/a", "right/a", "b")
-    return WholeSamples(names, {"left", "right"}, ["base", "box"], deserialize)
+    return SampleAssembler(names, {"left", "right"}, ["base", "box"], deserialize)
 
 
 def part_of(whole, topic, stamp, velocity=1.0):

@@ -48,8 +48,8 @@ class TwinPipeline(EstimatorPipeline):
     def __init__(self, values: Any, description: str | None) -> None:
         self._cusum: Cusum | None = None
         super().__init__(values, description)
-        found, robot = self.estimation, self.scene.robot
-        system = found.process.simulation.system
+        setup, robot = self.estimation, self.scene.robot
+        system = setup.process.simulation.system
         self._system = system
         names = [joint.name for joint in robot.joints]
         measured = list(values.measured) or names
@@ -57,7 +57,7 @@ class TwinPipeline(EstimatorPipeline):
             system, measured, values.look_ahead, values.amplification
         )
         self._compared = [name for name in names if name not in measured]
-        numbers = (*found.process.sensors.names, *self._compared)
+        numbers = (*setup.process.sensors.names, *self._compared)
         self._cusum = Cusum(numbers, threshold=values.alarm_threshold)
         wanted = list(names if _ALL in values.reactions else values.reactions)
         refuse_unknown(wanted, names)
@@ -122,7 +122,7 @@ class TwinPipeline(EstimatorPipeline):
         return np.asarray(error / np.sqrt(spread + values.position_noise**2))
 
     def more(self, stamp: int) -> TwinMessages:
-        """What the twin says besides the newest estimate."""
+        """Return the results of the twin besides the newest estimate."""
         now = self._writer.now
         reactions = {}
         if self.reactions:
@@ -177,14 +177,14 @@ class TwinPipeline(EstimatorPipeline):
         return WARN, "; ".join([*reasons, *([text] if level != OK else [])])
 
     def details(self) -> dict[str, str]:
-        """Of the newest estimate and the watches, for diagnostics."""
-        found = self.determination
+        """Return figures of the newest estimate and the watches, for diagnostics."""
+        result = self.determination
         shares = ", ".join(f"{name} {share:.2g}" for name, share in self.fault.shares.items())
         assert self._cusum is not None
         return {
             **super().details(),
-            "amplification of errors": f"{found.amplification:.4g}",
-            "amplification of multipliers": f"{found.of_multipliers:.4g}",
+            "amplification of errors": f"{result.amplification:.4g}",
+            "amplification of multipliers": f"{result.of_multipliers:.4g}",
             "alarms": ", ".join(self._cusum.alarms()) or "none",
             "fault": self.fault.name or "none",
             "unexplained by hypotheses": shares or "none compared",
@@ -192,7 +192,7 @@ class TwinPipeline(EstimatorPipeline):
 
 
 class TwinMessages(NamedTuple):
-    """What the twin says besides the estimate.
+    """Results of the twin besides the estimate.
 
     Attributes:
         reactions: WrenchStamped by joint, in the axes of the joint on its child.
@@ -203,12 +203,14 @@ class TwinMessages(NamedTuple):
     determination: bytes
 
 
-def hypothesis_systems(scene: Scene, found: Estimation, texts: Sequence[str]) -> dict[str, System]:
+def hypothesis_systems(
+    scene: Scene, estimation: Estimation, texts: Sequence[str]
+) -> dict[str, System]:
     """Name -> the mechanism with other numbers in it.
 
     Args:
         scene: As it is thought to be, as it is read.
-        found: What is estimated of it.
+        estimation: What is estimated of it.
         texts: Of the parameter `hypotheses`.
 
     Raises:
@@ -216,20 +218,21 @@ def hypothesis_systems(scene: Scene, found: Estimation, texts: Sequence[str]) ->
     """
     systems = {}
     for text in texts:
-        name, _, given = text.partition(":")
-        if not name.strip() or not given.strip():
+        name, _, assignments = text.partition(":")
+        if not name.strip() or not assignments.strip():
             raise ParameterError(f"hypotheses: '{text}', accepted: {_FORM}")
         try:
-            changed = with_numbers(scene, _numbers(text, given))
-            systems[name.strip()] = prepare_scene(changed, found.task, found.disturbed).system()
+            changed = with_numbers(scene, _numbers(text, assignments))
+            prepared = prepare_scene(changed, estimation.task, estimation.disturbed)
+            systems[name.strip()] = prepared.system()
         except MbdError as error:
             raise ParameterError(f"hypotheses: '{text}': {error}") from error
     return systems
 
 
-def _numbers(text: str, given: str) -> dict[str, float]:
+def _numbers(text: str, assignments: str) -> dict[str, float]:
     numbers = {}
-    for one in given.split(","):
+    for one in assignments.split(","):
         key, _, value = one.partition("=")
         try:
             numbers[key.strip()] = float(value)
