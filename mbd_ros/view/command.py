@@ -83,15 +83,15 @@ def _write(arguments: argparse.Namespace, scene: "Scene") -> int:
         raise DataError(f"{out}: the page is a .html file")
     if arguments.parameter:
         raise DataError("--parameter: sliders are of the page that is served, not of that of -o")
-    rows, motion, lines_ = Frames(scene).rows, arguments.motion, list[str]()
+    rows, motion, notes = Frames(scene).rows, arguments.motion, list[str]()
     if motion is None:
         rerun = Rerun(scene)
         rerun.duration = arguments.time
-        _, motion, lines_ = rerun.run({})
+        _, motion, notes = rerun.run({})
     viewed = viewed_motion(scene, motion, rows, topic)
     ghost = arguments.ghost and viewed_motion(scene, arguments.ghost, rows, topic)
     page = animated_page(scene, viewed, Path(scene.name).name, ghost)
     with replacing(out) as file:
         file.write(page.text.encode())
-    say_all([*page.remarks, *viewed.remarks, *lines_, f"{out}: {len(page.text) / 1e6:.1f} MB"])
+    say_all([*page.remarks, *viewed.remarks, *notes, f"{out}: {len(page.text) / 1e6:.1f} MB"])
     return OK

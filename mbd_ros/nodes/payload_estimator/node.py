@@ -96,17 +96,17 @@ class PayloadEstimatorNode(Shell):
     def answer(self, stamp: int, sample: JointSample) -> SampleStatus | None:
         """Take one joint state."""
         try:
-            answer_ = self._pipeline.answer(stamp, sample)
+            payload = self._pipeline.answer(stamp, sample)
         except SolveError as error:
             self._stream.drop("unsolved", f"joint_states: {error}")
             return None
-        if isinstance(answer_, SampleStatus):
-            return answer_
-        if isinstance(answer_, Carried):
-            numbers = answer_.mass, answer_.centre, answer_.moments
+        if isinstance(payload, SampleStatus):
+            return payload
+        if isinstance(payload, Carried):
+            numbers = payload.mass, payload.centre, payload.moments
             self._payload.publish(
                 write_inertia(self._message, stamp, self._pipeline.frame, *numbers)
             )
-            self._covariance.publish(self._writer.write(answer_.covariance))
+            self._covariance.publish(self._writer.write(payload.covariance))
         self._stream.note_answer(stamp)
         return None

@@ -111,18 +111,18 @@ class SensorTopics:
         messages: list[tuple[float, Callable[[], None]]] = []
         if self._joints:
             fields = {
-                field: np.concatenate([values[self._at[s.name]] for s in sensors_])
-                for field, sensors_ in self._joints.items()
+                field: np.concatenate([values[self._at[s.name]] for s in group])
+                for field, group in self._joints.items()
             }
             message = self._writer.write(stamp, **fields)
-            delay = max(s.delay for sensors_ in self._joints.values() for s in sensors_)
+            delay = max(s.delay for group in self._joints.values() for s in group)
             messages.append((delay, partial(self._states.publish, message)))
         for one, topic in self._topics:
             sensor = one.sensor
             written = one.write(stamp, values[self._at[sensor.name]])
             messages.append((sensor.delay, partial(topic.publish, written)))
         if self._others:
-            sensors_ = np.concatenate([values[self._at[s.name]] for s in self._others]).tolist()
+            numbers = np.concatenate([values[self._at[s.name]] for s in self._others]).tolist()
             delay = max(s.delay for s in self._others)
-            messages.append((delay, partial(self._array.publish, self._numbers.write(sensors_))))
+            messages.append((delay, partial(self._array.publish, self._numbers.write(numbers))))
         return messages
