@@ -79,7 +79,7 @@ def twin(out: Path) -> Iterator[str]:
         numbers = TwinNumbers()
         checks = numbers.checks()
         summary = [_faults(numbers), check_table(checks)]
-        failed = [f"{c.what}: {c.found}" for c in checks if not c.is_met]
+        failed = [f"{c.what}: {c.value}" for c in checks if not c.is_met]
         _samples(numbers).to(folder / f"{TWIN_TABLE}.csv")
         content = _content(numbers, summary, failed)
         write_page(folder, overview(numbers), content)
@@ -134,10 +134,10 @@ class TwinNumbers:
         self.runs = [_run(self.scene, fault) for fault in ("", *HYPOTHESES)]
 
     def checks(self) -> list[Check]:
-        """What must hold."""
+        """Return the checks of the demonstration."""
         sound = self.runs[0]
         named = ", ".join(what for _, what in sound.named) or "nothing"
-        found = [
+        results = [
             Check(
                 "joints that nothing measures, largest error [mrad]",
                 self.error("position") <= _POSITION,
@@ -153,13 +153,13 @@ class TwinNumbers:
         for run in self.runs[1:]:
             late = self.delay(run)
             said = "never" if late is None else f"after {late:.2f} s"
-            found.append(
+            results.append(
                 Check(f"'{run.fault}' is named", late is not None and late <= NAMED, said)
             )
-        return found
+        return results
 
     def error(self, what: str) -> float:
-        """Of the run without a fault, once the twin knows the speed [rad or N]."""
+        """Return the error without a fault, once the twin knows the speed [rad or N]."""
         samples = self.runs[0].samples
         after = samples["time"] > _SETTLED
         if what == "position":
@@ -191,15 +191,15 @@ def _run(scene: Scene, fault: str) -> Run:
         noise = scene.sensors[0].noise  # type: ignore[attr-defined]
         tracker.add_sample(k * STEP, x.q[:1] + noise * rng.standard_normal(1), u)
         belief = tracker.belief
-        found = system.expand(belief.x)
-        now = system.evaluate(found, u)
+        state = system.expand(belief.x)
+        now = system.evaluate(state, u)
         closest = min(closest, ahead.at(belief.x, system.integrated(now.a)).time)
-        lacking = estimation.unknown_efforts(found)
-        naming.add(found, u, lacking, np.sqrt(belief.P.diagonal()[-len(lacking) :]))
+        lacking = estimation.unknown_efforts(state)
+        naming.add(state, u, lacking, np.sqrt(belief.P.diagonal()[-len(lacking) :]))
         what = naming.diagnose().name
         if what != named[-1][1]:
             named.append((k * STEP, what))
-        rows.append([k * STEP, *x.q, *found.q, *force, *now.lam[:2], lacking[0], torque[0]])
+        rows.append([k * STEP, *x.q, *state.q, *force, *now.lam[:2], lacking[0], torque[0]])
     return Run(fault, _table(np.array(rows)), named[1:], closest)
 
 
@@ -249,15 +249,15 @@ def _tracker(estimation: Estimation) -> Tracker:
     return Tracker(estimation.estimator, process.sensors)
 
 
-def _naming(scene: Scene, found: Estimation) -> FaultNaming:
+def _naming(scene: Scene, estimation: Estimation) -> FaultNaming:
     systems = {
         name: prepare_scene(
-            with_numbers(scene, dict(numbers)), found.task, found.disturbed
+            with_numbers(scene, dict(numbers)), estimation.task, estimation.disturbed
         ).system()
         for name, numbers in HYPOTHESES.items()
     }
-    at = np.array([scene.robot.joint(name).v for name in found.disturbed], dtype=np.intp)
-    return FaultNaming(found.process.simulation.system, systems, at, WINDOW)
+    at = np.array([scene.robot.joint(name).v for name in estimation.disturbed], dtype=np.intp)
+    return FaultNaming(estimation.process.simulation.system, systems, at, WINDOW)
 
 
 def _table(rows: Array) -> Table:
@@ -278,13 +278,13 @@ def pictures(numbers: TwinNumbers) -> dict[str, bytes]:
 
 def _draw_sound(numbers: TwinNumbers, panel: Any, i: int) -> None:
     samples = numbers.runs[0].samples
-    true, found, text = (
+    true, estimated, text = (
         ("rocker.position", "rocker.estimate", "rocker [rad]"),
         ("coupler.position", "coupler.estimate", "coupler [rad]"),
         (_CLOSURE_X, f"{_CLOSURE_X}_estimate", "force of the closure, x [N]"),
     )[i]
     line(panel, samples["time"], samples[true], BLACK, "press")
-    line(panel, samples["time"], samples[found], BLUE, "twin", "--")
+    line(panel, samples["time"], samples[estimated], BLUE, "twin", "--")
     name(panel, text)
     panel.legend(fontsize=7, loc="upper right")
 

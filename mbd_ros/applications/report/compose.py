@@ -68,12 +68,12 @@ def report(order: Order) -> Iterator[str]:
     begin, facts = time.monotonic(), _facts(order)
     scenes = list(dict.fromkeys(map(_scene, order.scenes)))
     kinds = [kind for kind in items.PARTS if not order.only or kind in order.only]
-    found = collect(kinds, scenes, order.quick)
-    work = [item for made in found.values() if isinstance(made, list) for item in made]
+    work_of = collect(kinds, scenes, order.quick)
+    work = [item for made in work_of.values() if isinstance(made, list) for item in made]
     results: dict[str, Result] = {}
     facts["changed"] = yield from _results(order, work, results)
-    sections = {kind: _section(kind, made, results) for kind, made in found.items()}
-    sections = {k: _asked(s) if k in order.only else s for k, s in sections.items()}
+    sections = {kind: _section(kind, made, results) for kind, made in work_of.items()}
+    sections = {k: _requested(s) if k in order.only else s for k, s in sections.items()}
     facts["pages"] = {}
     if not (order.quick or order.only):
         measured = {item.spec.get("scene") for item in work}
@@ -185,7 +185,7 @@ def _results(
 
 
 def label(item: Item) -> str:
-    """What an item is called among those of all kinds."""
+    """Return the label of an item, unique among all kinds."""
     return f"{item.kind}/{item.name}"
 
 
@@ -202,7 +202,7 @@ def _section(kind: str, made: list[Item] | Section, results: Mapping[str, Result
     return section._replace(wrong=[*failures, *section.wrong])
 
 
-def _asked(section: Section) -> Section:
+def _requested(section: Section) -> Section:
     """Refuse a kind that was asked for by name and has nothing to show, with the reason."""
     if section.tables or section.wrong:
         return section
@@ -270,16 +270,16 @@ def collect(
     kinds: Sequence[str], scenes: Sequence[str], quick: bool
 ) -> dict[str, list[Item] | Section]:
     """The items of every kind; a section that says so where a package is missing."""
-    found: dict[str, list[Item] | Section] = {}
+    collected: dict[str, list[Item] | Section] = {}
     for kind in kinds:
         try:
-            found[kind] = _checked(kind, items.part(kind).items(scenes, quick))
+            collected[kind] = _checked(kind, items.part(kind).items(scenes, quick))
         except ModuleNotFoundError as error:
             if str(error.name).startswith("mbd_ros"):
                 raise
             line = f"{error.name} is not installed: pip install 'mbd_ros[{kind}]' brings it."
-            found[kind] = Section(kind.replace("_", " ").capitalize(), [line])
-    return found
+            collected[kind] = Section(kind.replace("_", " ").capitalize(), [line])
+    return collected
 
 
 def _checked(kind: str, work: list[Item]) -> list[Item]:

@@ -164,7 +164,7 @@ def section_lines(kind: str, section: Section, pictures: Mapping[str, bytes]) ->
 
 
 def _subject(table: Table) -> str:
-    """What stands before the colon of a title."""
+    """Return the part of a title before its colon."""
     before, colon, _ = table.title.partition(": ")
     return before if colon else ""
 

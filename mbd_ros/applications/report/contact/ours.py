@@ -115,7 +115,7 @@ def _sum(a: Sequence[float], b: Sequence[float]) -> list[float]:
 
 
 def trace_of(problem: Problem, simulation: Simulation, states: Sequence[State]) -> Trace:
-    """What is compared of a run, from its states at the samples."""
+    """Return the compared quantities of a run, from its states at the samples."""
     samples = [sample(problem, x) for x in states]
     forces = _forces(problem, simulation, states[-1]) if problem.has_forces else np.zeros(0)
     return Trace(*(np.array(part) for part in zip(*samples, strict=True)), forces)

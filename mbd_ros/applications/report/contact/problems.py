@@ -30,7 +30,7 @@ _HALVINGS = 60
 
 
 class Problem(NamedTuple):
-    """What is simulated, and what is true.
+    """A contact problem with its true solution.
 
     Attributes:
         name: Letters, digits and underscores.
