@@ -21,7 +21,7 @@ from mbd_ros.motion.external_loads import read_loads, wrench_at
 from mbd_ros.motion.filters import zero_phase
 from mbd_ros.motion.long_stamps import parts_of
 from mbd_ros.motion.recordings import Source, name_of, refuse_huge
-from mbd_ros.motion.samples import Task, kept_rows, read_recording
+from mbd_ros.motion.samples import Task, read_recording, select_rows
 from mbd_ros.scene.built_scene import Scene
 
 _LARGEST = 1.0e9  # rad, rad/s, N·m, ..: no machine reaches it, and its square would hide all else
@@ -165,7 +165,7 @@ def split_recording(
         return recorded, None
     times = recorded.times
     first = times <= share * times[-1]
-    parts = (kept_rows(recorded.motion, first), kept_rows(recorded.motion, ~first))
+    parts = (select_rows(recorded.motion, first), select_rows(recorded.motion, ~first))
     return recorded._replace(motion=parts[0]), recorded._replace(motion=parts[1])
 
 
@@ -180,7 +180,7 @@ def pieces(scene: Scene, recorded: Recorded, band: float | None) -> Iterator[Pie
     """
     n = len(scene.couplings.independent)
     for part in parts_of(recorded.motion.stamps):
-        motion = kept_rows(recorded.motion, part)
+        motion = select_rows(recorded.motion, part)
         chosen = Derivatives(
             recorded.derivatives, band if recorded.derivatives != "given" else None
         )

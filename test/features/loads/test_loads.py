@@ -242,7 +242,7 @@ def test_peaks_and_chosen_instants(walk):
         ),
         ({"body": "foot", "at": [3.0]}, DataError, "--at 3: is outside of the motion"),
         ({"body": "foot", "units": "inch"}, DataError, "--units inch: accepted: m"),
-        ({"body": "foot", "time_range": (5.0, 6.0)}, DataError, "no sample is there"),
+        ({"body": "foot", "time_range": (5.0, 6.0)}, DataError, "contains no sample"),
     ],
 )
 def test_bad_input(walk, words, error, says):

@@ -37,7 +37,7 @@ from mbd_ros.features.identification.samples import (
 from mbd_ros.jobs.progress import Say
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
 from mbd_ros.methods.learned import About, check_physics, check_robot, numbers_of
-from mbd_ros.motion.samples import kept_rows
+from mbd_ros.motion.samples import select_rows
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.learned_entries import physics_beside
 
@@ -422,7 +422,7 @@ class Recordings:
 
 def first_seconds(recorded: Recorded, seconds: float) -> Recorded:
     """Return the beginning of a recording."""
-    return recorded._replace(motion=kept_rows(recorded.motion, recorded.times <= seconds))
+    return recorded._replace(motion=select_rows(recorded.motion, recorded.times <= seconds))
 
 
 def relative_error(prediction: Array, measured: Array) -> float:
