@@ -13,7 +13,7 @@ from mbd_ros.optimal_control.motion_program import Solution
 from mbd_ros.optimal_control.sparse_program import Block
 
 
-class Active(NamedTuple):
+class ActiveBound(NamedTuple):
     """A bound that is active.
 
     Attributes:
@@ -28,9 +28,9 @@ class Active(NamedTuple):
     value: float
 
 
-def active_bounds(phase: MotionPhase, number: int, solution: Solution) -> list[Active]:
+def active_bounds(phase: MotionPhase, number: int, solution: Solution) -> list[ActiveBound]:
     """Bounds that are active at some points of a phase."""
-    status, unknowns = status_of(phase, number, solution), solution.unknowns[number]
+    status, unknowns = bound_status(phase, number, solution), solution.unknowns[number]
     ends = phase.bounds_on(unknowns, len(solution.solved.x))
     named = [
         (phase.quantities.name_of(letter, i), [one[places[0]] for one in ends])
@@ -38,16 +38,16 @@ def active_bounds(phase: MotionPhase, number: int, solution: Solution) -> list[A
         for i, places in enumerate(unknowns.points[letter].T)
     ]
     named += [(one.name, list(bounds)) for one, bounds in phase.derived_bounds]
-    found = list[Active]()
+    found = list[ActiveBound]()
     for (name, bounds), sides in zip(named, status.T, strict=True):
         for side, value in zip((-1, 1), bounds, strict=True):
             share = float(np.mean(sides == side))
             if share > 0.0:
-                found.append(Active(name, side, share, float(value)))
+                found.append(ActiveBound(name, side, share, float(value)))
     return found
 
 
-def status_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
+def bound_status(phase: MotionPhase, number: int, solution: Solution) -> Status:
     """At every point: inputs, q, v, z, then quantities of `bounds` that are no unknowns.
 
     A bound is active where its multiplier is larger than what is left to it, both in usual sizes.
@@ -97,7 +97,7 @@ def _side(values: Array, pulls: Array, block: Block) -> Status:
     return found
 
 
-def begins_of(phase: MotionPhase, number: int, solution: Solution) -> Status:
+def initial_status(phase: MotionPhase, number: int, solution: Solution) -> Status:
     """At the first node of every interval: q, v and z."""
     places = solution.unknowns[number].state[:-1]
     found: Status = _of_unknowns(phase, number, solution)[places]

@@ -85,7 +85,7 @@ class PhaseForms:
         Args:
             unknowns: Where the unknowns stand.
             sizes: Their usual sizes.
-            rows: Usual sizes of the equations at a point.
+            rows: Characteristic sizes of the equations at a point.
         """
         found = [self._points(unknowns, rows), *self._intervals(unknowns, sizes)]
         found += self._curved(unknowns)

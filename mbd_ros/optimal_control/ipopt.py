@@ -54,7 +54,7 @@ def solve(
     is_near: bool = False,
     tell: Tell | None = None,
     options: Mapping[str, Any] = _NO_OPTIONS,
-) -> Solved:
+) -> SolverResult:
     """Solve a program.
 
     Args:
@@ -141,7 +141,7 @@ def _flat(values: Any) -> Array:
 
 def _solved(
     program: SparseProgram, guess: Array, found: Any, stats: Any, functions: Any
-) -> Solved:
+) -> SolverResult:
     at, sizes, x = program.open, program.sizes[program.open], guess.copy()
     y, lam = _flat(found["x"]), _flat(found["lam_g"])
     pulls, bounds = _flat(found["lam_x"]), np.zeros(len(x))
@@ -155,7 +155,7 @@ def _solved(
     cost = program.cost_size
     bounds[at] = pulls * cost / sizes
     status = str(stats["return_status"])
-    return Solved(
+    return SolverResult(
         x,
         float(found["f"]) * cost,
         rows * program.row_sizes,
@@ -169,7 +169,7 @@ def _solved(
     )
 
 
-class Solved(NamedTuple):
+class SolverResult(NamedTuple):
     """What a solver leaves.
 
     Attributes:

@@ -53,7 +53,7 @@ class PathBounds:
     def __init__(self, bounds: Sequence[tuple[Quantity, Range]], forms: PhaseForms) -> None:
         self.bounds, self._forms = list(bounds), forms
         self.lower, self.upper = np.array([one for _, one in bounds]).reshape(-1, 2).T
-        self._size = usual_bounds(self.lower, self.upper)
+        self._size = bound_sizes(self.lower, self.upper)
 
     def blocks(self, unknowns: Unknowns, sizes: Array) -> list[Block]:
         """The rows at all points of a mesh.
@@ -115,14 +115,14 @@ class PathBounds:
         return found
 
 
-def usual_bounds(lower: Array, upper: Array) -> Array:
-    """Usual sizes of quantities by their bounds, 1 at least, shape (k,)."""
+def bound_sizes(lower: Array, upper: Array) -> Array:
+    """Characteristic sizes of quantities by their bounds, 1 at least, shape (k,)."""
     ends = [np.where(np.isfinite(one), np.abs(one), 0.0) for one in (lower, upper)]
     return np.maximum(np.maximum(*ends), 1.0)
 
 
-def held_limits(
-    equations: PhaseEquations, kept: Sequence[Kept], forces: Any, used: float = 1.0
+def contact_limits(
+    equations: PhaseEquations, kept: Sequence[ContactDemand], forces: Any, used: float = 1.0
 ) -> Limits:
     """Bounds of forces of contacts, or of their impulses.
 
@@ -137,7 +137,7 @@ def held_limits(
     """
     found: Limits = []
     cones = [(one.contact, one.crossing) for one in kept if isinstance(one.crossing, ConeRoom)]
-    for contact, cone in joined(equations, cones):
+    for contact, cone in merge_cones(equations, cones):
         found += _cone(equations, contact, cone, forces, used)
     for contact, crossing in ((one.contact, one.crossing) for one in kept):
         if isinstance(crossing, Force):
@@ -153,7 +153,7 @@ def held_limits(
     return found
 
 
-class Kept(Protocol):
+class ContactDemand(Protocol):
     """What a contact that is held has to keep."""
 
     @property
@@ -165,7 +165,7 @@ class Kept(Protocol):
         """A number of its multipliers that may not be negative."""
 
 
-def joined(equations: PhaseEquations, cones: Cones) -> Cones:
+def merge_cones(equations: PhaseEquations, cones: Cones) -> Cones:
     """Friction cones, one of all contacts between which friction is not determined.
 
     Raises:

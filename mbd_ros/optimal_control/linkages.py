@@ -21,7 +21,7 @@ from mbd_ros.core.state import Array
 from mbd_ros.errors import ModelError
 from mbd_ros.methods.events.crossings import Combination, ConeRoom, Force, Gap
 from mbd_ros.methods.events.phases import Exit, Relabelling
-from mbd_ros.optimal_control.limits import cone_of, force_of, held_limits, weight_of
+from mbd_ros.optimal_control.limits import cone_of, contact_limits, force_of, weight_of
 from mbd_ros.optimal_control.mesh import Collocation
 from mbd_ros.optimal_control.motion_phase import MotionPhase
 from mbd_ros.optimal_control.phase_equations import PhaseEquations
@@ -88,7 +88,7 @@ class ResetLinkage:
             found.append(self._guard.block(before))
         return found, end
 
-    def limited(self) -> ResetLinkage:
+    def with_limits(self) -> ResetLinkage:
         """With what impulses have to keep among the rows."""
         found = copy(self)
         found._is_limited = True
@@ -124,7 +124,7 @@ class ResetLinkage:
 def _kept(striking: PhaseEquations, demands: Sequence[Any], grip: float) -> list[Any]:
     """Name, form and bounds of what impulses of contacts that are held keep."""
     p = ca.SX.sym("P", striking.sizes.m)
-    limits = held_limits(striking, demands, p, grip)
+    limits = contact_limits(striking, demands, p, grip)
     return [(one.name, Form(p, ca.SX(0, 1), one.value), *range_) for one, range_ in limits]
 
 
@@ -188,7 +188,7 @@ class EqualEnds:
         places = np.vstack((ends, every[0].state[0][:, None]))
         return [Block(PERIODIC, self._form, places, _ENDS)], first
 
-    def limited(self) -> EqualEnds:
+    def with_limits(self) -> EqualEnds:
         """With what impulses have to keep among the rows."""
         return self
 

@@ -88,7 +88,7 @@ class Mesh(NamedTuple):
         return i, (shares - knots[i]) / np.maximum(self.widths[i], np.finfo(float).tiny)
 
 
-def mesh_of(
+def build_mesh(
     scheme: str, degrees: Sequence[int], widths: Array, free: Sequence[bool] | None = None
 ) -> Mesh:
     """A mesh of some intervals."""
@@ -97,7 +97,7 @@ def mesh_of(
     return Mesh(scheme, np.array(degrees, dtype=np.intp), whole / whole.sum(), moves)
 
 
-def refined(mesh: Mesh, errors: Array, tolerance: float) -> Mesh:
+def refine_mesh(mesh: Mesh, errors: Array, tolerance: float) -> Mesh:
     """Intervals whose error is too large are split, by the order of their method.
 
     Args:
@@ -112,10 +112,10 @@ def refined(mesh: Mesh, errors: Array, tolerance: float) -> Mesh:
             parts = min(max(2, math.ceil(wanted)), _MOST_PARTS)
         degrees += [int(degree)] * parts
         widths += [width / parts] * parts
-    return mesh_of(mesh.scheme, degrees, np.array(widths))
+    return build_mesh(mesh.scheme, degrees, np.array(widths))
 
 
-def with_knots(mesh: Mesh, shares: list[float]) -> Mesh:
+def insert_nodes(mesh: Mesh, shares: list[float]) -> Mesh:
     """The mesh with a node that may move at each of some places."""
     knots, degrees, moving = mesh.knots.tolist(), mesh.degrees.tolist(), set[float]()
     for share in shares:
@@ -237,10 +237,10 @@ def collocation(scheme: str, degree: int) -> Collocation:
 
 def uniform_mesh(scheme: str, degree: int, count: int) -> Mesh:
     """Equal intervals of one degree."""
-    return mesh_of(scheme, [degree] * count, np.full(count, 1.0 / count))
+    return build_mesh(scheme, [degree] * count, np.full(count, 1.0 / count))
 
 
-def changes(mesh: Mesh, status: Status, inputs: Array) -> list[float]:
+def input_changes(mesh: Mesh, status: Status, inputs: Array) -> list[float]:
     """Where bounds of inputs change, as shares of the duration, in order.
 
     Args:
@@ -273,7 +273,7 @@ def _jump(mesh: Mesh, interval: int, values: Array) -> float:
     return float(mesh.knots[interval] + mesh.widths[interval] * inside)
 
 
-def bracketed(mesh: Mesh, status: Status, begins: Status, wanted: NDArray[np.bool_]) -> Mesh:
+def bracket_changes(mesh: Mesh, status: Status, begins: Status, wanted: NDArray[np.bool_]) -> Mesh:
     """The mesh with nodes on both sides of where bounds of states change.
 
     A node that moves to where it costs least would move to where the motion passes its bound
@@ -300,7 +300,7 @@ def bracketed(mesh: Mesh, status: Status, begins: Status, wanted: NDArray[np.boo
     kept = [one for one in sorted(set(knots)) if one[0] <= 1.0 - _SHORTEST]
     kept = kept[:1] + [two for one, two in itertools.pairwise(kept) if two[0] - one[0] > _SHORTEST]
     places = np.array([*(one for one, _ in kept), 1.0])
-    return mesh_of(mesh.scheme, [degree for _, degree in kept], np.diff(places))
+    return build_mesh(mesh.scheme, [degree for _, degree in kept], np.diff(places))
 
 
 def _at_begins(mesh: Mesh, status: Status, begins: Status) -> Status:

@@ -166,7 +166,7 @@ class Sizes(NamedTuple):
     bases: tuple[tuple[int, int], ...] = ()
 
 
-def errors_of(motion: PhaseMotion, rates: Rates) -> Array:
+def collocation_errors(motion: PhaseMotion, rates: Rates) -> Array:
     """Relative error of each interval, shape (n,).
 
     It is the largest of positions, velocities and internal states, relative to 1 + the largest
@@ -202,7 +202,7 @@ def _sizes(motion: PhaseMotion) -> dict[str, Array]:
     return {key: 1.0 + np.abs(motion.nodes[key]).max(axis=0, initial=0.0) for key in ("v", "z")}
 
 
-def looked_at(motion: PhaseMotion) -> tuple[Array, dict[str, Array]]:
+def intermediate_values(motion: PhaseMotion) -> tuple[Array, dict[str, Array]]:
     """Places between the points, as shares of the duration, and the motion there.
 
     Returns:
@@ -217,7 +217,7 @@ def beyond_bounds(values: Array, lower: Array, upper: Array) -> Array:
     """How far numbers pass their bounds at most in each interval, shape (n, k).
 
     Args:
-        values: At the places of `looked_at`, shape (n looks, k).
+        values: At the places of `intermediate_values`, shape (n looks, k).
         lower: Shape (k,).
         upper: Shape (k,).
     """
@@ -225,7 +225,9 @@ def beyond_bounds(values: Array, lower: Array, upper: Array) -> Array:
     return off.reshape(-1, _LOOKS, values.shape[1]).max(axis=1)
 
 
-def steps_of(mesh: Mesh, nodes: Array, points: Array, bases: tuple[tuple[int, int], ...]) -> Array:
+def tangent_steps(
+    mesh: Mesh, nodes: Array, points: Array, bases: tuple[tuple[int, int], ...]
+) -> Array:
     """Steps of free bodies from the beginning of an interval to its points, and to its end.
 
     Args:

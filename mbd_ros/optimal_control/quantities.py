@@ -347,8 +347,8 @@ class Quantity(NamedTuple):
     index: int = -1
 
 
-def stops(phase: PhaseEquations) -> list[Quantity]:
-    """Gaps of unilateral stops, ropes and contacts, which a motion keeps open.
+def unilateral_gaps(phase: PhaseEquations) -> list[Quantity]:
+    """Gaps of unilateral unilateral_gaps, ropes and contacts, which a motion keeps open.
 
     Raises:
         ModelError: Names a part whose force jumps otherwise.

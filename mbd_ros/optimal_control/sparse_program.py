@@ -24,13 +24,13 @@ class SparseProgram:
     a derivative is what the forms say.
 
     Args:
-        sizes: Usual sizes of the unknowns, shape (n,).
+        sizes: Characteristic sizes of the unknowns, shape (n,).
         known: Values of unknowns that are fixed, NaN for the others, shape (n,).
-        cost_size: Usual size of the cost.
+        cost_size: Characteristic size of the cost.
 
     Attributes:
         open: Numbers of the unknowns that are not fixed: those of the solver.
-        row_sizes: Usual sizes of the rows, in the order of the blocks, place by place.
+        row_sizes: Characteristic sizes of the rows, in the order of the blocks, place by place.
         slices: Rows of each block.
     """
 
@@ -184,7 +184,7 @@ class Block:
         places: Numbers of its unknowns in the program, shape (size, m).
         data: What is known at each place, shape (.., m); None for nothing.
         lower: Of rows, shape (rows,) or (rows, m).
-        size: Usual sizes of rows, the same.
+        size: Characteristic sizes of rows, the same.
     """
 
     def __init__(

@@ -31,7 +31,7 @@ from mbd_ros.core.muscles.contraction import Contraction, Fiber, Pennation
 from mbd_ros.core.muscles.muscle import ActivationDynamics, Muscle
 from mbd_ros.core.state import Array
 from mbd_ros.features.muscles.muscle_trial import Excited, Optimal, Trial
-from mbd_ros.optimal_control.ipopt import Solved, solve
+from mbd_ros.optimal_control.ipopt import SolverResult, solve
 from mbd_ros.optimal_control.mesh import Collocation
 from mbd_ros.optimal_control.sparse_program import Block, Form, Places, SparseProgram
 
@@ -114,7 +114,7 @@ class MuscleProgram:
         settings["options"] = {**_OPTIONS, **(_NEAR_OPTIONS if is_near else {})}
         return self._optimal(solve(program, start, lower, upper, **settings), program)
 
-    def _optimal(self, solution: Solved, program: SparseProgram) -> Optimal:
+    def _optimal(self, solution: SolverResult, program: SparseProgram) -> Optimal:
         n, r, ne = self._n, self._r, self._ne
         a, lengths = np.split(solution.x[: self._first], (n,))
         points = solution.x[self._first :].reshape(-1, self._each)
@@ -130,7 +130,7 @@ class MuscleProgram:
         how = cost, solution.iterations, solution.is_good, solution.status, residual
         return Optimal(excited, *how, lacking, self._slopes(solution, program))
 
-    def _slopes(self, solution: Solved, program: SparseProgram) -> Array:
+    def _slopes(self, solution: SolverResult, program: SparseProgram) -> Array:
         """Return the slopes of `Part`, with new ones for the intervals that were solved."""
         slopes, solved = self._part.slopes.copy(), np.flatnonzero(self._part.solved)
         of_start = start_slopes(self._scheme)

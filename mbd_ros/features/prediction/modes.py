@@ -137,7 +137,7 @@ def _build_linkage(
     task: PredictTask,
 ) -> Any:
     from mbd_ros.optimal_control.linkages import ResetLinkage
-    from mbd_ros.optimal_control.phase_equations import PhaseEquations, independent
+    from mbd_ros.optimal_control.phase_equations import PhaseEquations, without_redundant_rows
     from mbd_ros.scene.runs.compiling import traced
 
     before, after = (modes[i] for i in numbers)
@@ -149,7 +149,7 @@ def _build_linkage(
     if striking is not None:
         names = list(phases[0].equations.equations.parameters)
         plain = PhaseEquations(traced(scene, striking, names, _mode(striking)).equations)
-        equations = independent(plain, striking.reduce(scene.initial), midpoints(task))
+        equations = without_redundant_rows(plain, striking.reduce(scene.initial), midpoints(task))
     return ResetLinkage(*joined, numbers, exit_, equations, travel, grip=task.grip)
 
 

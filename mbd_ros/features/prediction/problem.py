@@ -37,7 +37,7 @@ from mbd_ros.features.prediction.smooth_scene import (
 from mbd_ros.features.prediction.task import PhaseTask, PredictTask
 from mbd_ros.methods.projection.coupled_joints import independent_limits
 from mbd_ros.optimal_control.mesh import MOST_INTERVALS, uniform_mesh
-from mbd_ros.optimal_control.phase_motion import BODY, PhaseMotion, steps_of
+from mbd_ros.optimal_control.phase_motion import BODY, PhaseMotion, tangent_steps
 from mbd_ros.optimal_control.problem import PhaseProblem, Range, body_names
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.describe.scene_summary import coordinate_names, velocity_names
@@ -199,9 +199,9 @@ def _phases(
     first: State,
     recording: Recording | None,
 ) -> list[MotionPhase]:
-    from mbd_ros.optimal_control.limits import held_limits
+    from mbd_ros.optimal_control.limits import contact_limits
     from mbd_ros.optimal_control.motion_phase import MotionPhase
-    from mbd_ros.optimal_control.phase_equations import PhaseEquations, independent
+    from mbd_ros.optimal_control.phase_equations import PhaseEquations, without_redundant_rows
     from mbd_ros.scene.runs.compiling import traced
 
     scene, names, phases = driven_scene.scene, list(task.parameters), list[MotionPhase]()
@@ -209,7 +209,7 @@ def _phases(
     references = References(scene, recording, motion_file, begin)
     for i, (mode, phase) in enumerate(zip(modes, task.phases, strict=True)):
         plain = PhaseEquations(traced(scene, mode.system, names, mode.mode).equations)
-        equations = independent(plain, first, midpoints(task))
+        equations = without_redundant_rows(plain, first, midpoints(task))
         start = dict(phase.start)
         if i == 0 and not task.start_free:
             start = {**_initial_state_ranges(scene, mode.system, first, phase.start), **start}
@@ -222,7 +222,7 @@ def _phases(
             "references": references.shifted(begin),
             "closes_start": is_open,
             "sensors": scene.sensors,
-            "limits": held_limits(equations, mode.demands, equations.symbols["l"], task.grip),
+            "limits": contact_limits(equations, mode.demands, equations.symbols["l"], task.grip),
             "given": prescribed_inputs(driven_scene, phase.bounds, recording, begin, middle),
         }
         phases.append(MotionPhase(problem, equations, numbers, **more))
@@ -406,7 +406,7 @@ def _move_bodies(phase: MotionPhase, motion: PhaseMotion) -> None:
             steps = shares[:, None] * motion.duration * twist
             values["q"][:, q] = [BODY.integrate(first, step) for step in steps]
             values["v"][:, v] = twist
-    steps = steps_of(motion.mesh, motion.nodes["q"], motion.points["q"], motion.bases)
+    steps = tangent_steps(motion.mesh, motion.nodes["q"], motion.points["q"], motion.bases)
     motion.points["d"][:] = steps
 
 
@@ -481,12 +481,12 @@ def write_recording(
             if key in arrays:
                 arrays[key][:] = values
     if motion.bases:
-        points["d"][:] = steps_of(mesh, nodes["q"], points["q"], motion.bases)
+        points["d"][:] = tangent_steps(mesh, nodes["q"], points["q"], motion.bases)
     given = phase.given
     points["u"][:, given.places] = given.at(mesh.shares)
     p = np.zeros(phase.equations.symbols["p"].numel())
     times = motion.begin + motion.duration * mesh.shares
-    for key, values in phase.equations.pushed(points, times, p, given.places).items():
+    for key, values in phase.equations.minimum_norm_inputs(points, times, p, given.places).items():
         points[key][:] = values
 
 

@@ -19,7 +19,7 @@ from mbd_ros.files.table import MAIN, TIME, read_result
 from mbd_ros.methods.signals.opensim_splines import opensim_splines
 from mbd_ros.motion.external_loads import read_loads, wrench_at
 from mbd_ros.motion.recordings import Capture, read_capture, read_columns, read_motion
-from mbd_ros.optimal_control.problem import GivenInputs, Goal, body_names
+from mbd_ros.optimal_control.problem import Goal, PrescribedInputs, body_names
 from mbd_ros.parts.sensors.marker import Marker
 from mbd_ros.scene.built_scene import Scene
 
@@ -215,7 +215,7 @@ def prescribed_inputs(
     recording: Recording | None,
     begin: float,
     duration: float,
-) -> GivenInputs:
+) -> PrescribedInputs:
     """Return the prescribed loads of a phase.
 
     Loads without a measurement are zero, unless they drive the scene.
@@ -247,7 +247,7 @@ def prescribed_inputs(
             last[:] = [(shares.copy(), columns[:, known])]
         return last[0][1]
 
-    return GivenInputs(places, at)
+    return PrescribedInputs(places, at)
 
 
 class References:

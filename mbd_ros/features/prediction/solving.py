@@ -19,13 +19,20 @@ from mbd_ros.features.prediction.problem import Problem
 from mbd_ros.features.prediction.replay import build_input_simulation
 from mbd_ros.features.prediction.task import PredictTask
 from mbd_ros.jobs.progress import PERIOD, Say, announce
-from mbd_ros.optimal_control.mesh import Mesh, bracketed, changes, is_settled, refined, with_knots
+from mbd_ros.optimal_control.mesh import (
+    Mesh,
+    bracket_changes,
+    input_changes,
+    insert_nodes,
+    is_settled,
+    refine_mesh,
+)
 from mbd_ros.optimal_control.phase_motion import (
     PhaseMotion,
     beyond_bounds,
-    errors_of,
-    looked_at,
-    steps_of,
+    collocation_errors,
+    intermediate_values,
+    tangent_steps,
 )
 from mbd_ros.optimal_control.problem import body_names
 
@@ -55,7 +62,7 @@ _NEAR = 1.0e-3  # largest violation in them
 
 
 def solve(problem: Problem, task: PredictTask, say: Say) -> Prediction:
-    """Solve the problem on the first mesh, and on refined ones.
+    """Solve the problem on the first mesh, and on refine_mesh ones.
 
     Args:
         say: Receives a line for each mesh.
@@ -65,7 +72,7 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Prediction:
         if prediction.keeps_limits or prediction.is_interrupted:
             return prediction
         say("held contacts would pull or slip; solving again within their friction cones")
-        limited = problem._replace(program=problem.program.limited())
+        limited = problem._replace(program=problem.program.with_limits())
         near, last = limited, prediction.solution
         if last.solved.is_good:
             near = limited._replace(
@@ -183,9 +190,9 @@ def interval_errors(phase: Any, motion: PhaseMotion, p: Array) -> Array:
         times, interval = motion.begin + motion.duration * shares, motion.mesh.find(shares)[0]
         forces = phase.equations.solved(values, times, p)
         spans = motion.duration * motion.mesh.widths[interval]
-        return forces["a"], phase.equations.calmed(values, forces["w"], times, spans, p)
+        return forces["a"], phase.equations.damped_rates(values, forces["w"], times, spans, p)
 
-    return errors_of(motion, rates)
+    return collocation_errors(motion, rates)
 
 
 def transfer_motion(motion: PhaseMotion, mesh: Mesh) -> PhaseMotion:
@@ -194,7 +201,7 @@ def transfer_motion(motion: PhaseMotion, mesh: Mesh) -> PhaseMotion:
     knots = motion.at(mesh.knots[:-1])
     nodes = {key: np.vstack((knots[key], motion.nodes[key][-1])) for key in "qvz"}
     points: dict[str, Array] = {key: at[key] for key in "qvzawul"}
-    points["d"] = steps_of(mesh, nodes["q"], points["q"], motion.bases)
+    points["d"] = tangent_steps(mesh, nodes["q"], points["q"], motion.bases)
     return PhaseMotion(mesh, motion.begin, motion.duration, nodes, points, motion.bases)
 
 
@@ -414,7 +421,7 @@ def _write_samples(motion: PhaseMotion, shares: Array, sampled: dict[str, Array]
         for values in (nodes, points):
             quaternion = values["q"][:, q + 3 : q + 7]
             quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
-    points["d"] = steps_of(motion.mesh, nodes["q"], points["q"], motion.bases)
+    points["d"] = tangent_steps(motion.mesh, nodes["q"], points["q"], motion.bases)
     return motion._replace(nodes=nodes, points=points)
 
 
@@ -426,14 +433,14 @@ def evaluate_bounds(
     Bounds of states are violated too far where that is more than `accepted_violation`, or where it
     saves more than a share of the tolerance of the cost, by the multipliers of the bounds.
     """
-    from mbd_ros.optimal_control.active_bounds import begins_of, path_forces, status_of
+    from mbd_ros.optimal_control.active_bounds import bound_status, initial_status, path_forces
 
     phase, motion = problem.program.phases[number], solution.motions[number]
     unknowns, solved = solution.unknowns[number], solution.solved
-    status, nu = status_of(phase, number, solution), motion.points["u"].shape[1]
-    knots = changes(motion.mesh, status, motion.points["u"])
-    shares, values = looked_at(motion)
-    bounded = phase.held_between(unknowns, shares, values, solution.parameters)
+    status, nu = bound_status(phase, number, solution), motion.points["u"].shape[1]
+    knots = input_changes(motion.mesh, status, motion.points["u"])
+    shares, values = intermediate_values(motion)
+    bounded = phase.bounded_quantities(unknowns, shares, values, solution.parameters)
     off = beyond_bounds(*bounded)
     places = np.hstack([unknowns.points[letter] for letter in "qvz"])
     sizes = 1.0 + np.abs(solved.x[places]).max(axis=0, initial=0.0)
@@ -447,7 +454,7 @@ def evaluate_bounds(
     return MeshEvaluation(
         knots,
         status[:, nu:],
-        begins_of(phase, number, solution),
+        initial_status(phase, number, solution),
         passed,
         _violations(phase, motion, bounded, sizes, saved, task),
         is_settled(motion.mesh, knots),
@@ -525,9 +532,9 @@ def _violations(
     """Return the violated bounds, the worst one first."""
     values, lower, upper = bounded
     off = np.maximum(np.maximum(lower - values, values - upper), 0.0)
-    shares, _ = looked_at(motion)
+    shares, _ = intermediate_values(motion)
     violations = list[BoundViolation]()
-    for k, name in enumerate(phase.names_held()):
+    for k, name in enumerate(phase.bounded_names()):
         i = int(off[:, k].argmax())
         if off[i, k] > 0.0:
             side = 1 if values[i, k] > upper[k] else -1
@@ -546,5 +553,5 @@ def next_mesh(mesh: Mesh, errors: Array, evaluation: MeshEvaluation, tolerance: 
     """Return a mesh on which errors are smaller."""
     if evaluation.passed.any():
         wanted = evaluation.passed | (errors > tolerance)[:, None]
-        return bracketed(mesh, evaluation.status, evaluation.begins, wanted)
-    return with_knots(refined(mesh, errors, tolerance), evaluation.knots)
+        return bracket_changes(mesh, evaluation.status, evaluation.begins, wanted)
+    return insert_nodes(refine_mesh(mesh, errors, tolerance), evaluation.knots)

@@ -247,7 +247,7 @@ CONTRADICTORY = {
     "a time of nothing": ({"duration": 0.0}, "duration: a duration must be above 0 s"),
     "no goal": ({"goals": []}, "goals"),
     "a joint that does not travel": ({"periodic": True, "travel": ["slid"]}, "no joint 'slid'"),
-    "a function without a value": ({"goals": [lambda q: None]}, "function gives None"),
+    "a function without a value": ({"goals": [lambda q: None]}, "it returns None"),
     "a mass as an unknown": ({"parameters": {"cart.mass": [0.5, 2.0]}}, "(continuation)"),
     "durations beside one of all": (
         {"phases": [{"duration": 1.0}]},

@@ -186,5 +186,5 @@ def test_what_has_no_load_is_named():
     task = {"duration": 0.2, "goals": [EFFORT, {"type": "final", "of": TRACTION}]}
     with pytest.raises(MbdError, match=r"hamstrings.*polynomial of joints, so nobody knows where"):
         scene.predict(task)
-    with pytest.raises(MbdError, match=f"smoothness of {TRACTION}, which depends on forces"):
+    with pytest.raises(MbdError, match=f"smoothness: {TRACTION} depends on forces"):
         swing({"type": "smoothness", "of": TRACTION})

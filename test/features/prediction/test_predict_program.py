@@ -16,7 +16,7 @@ def program_of(scene, task):
     """The program of a task on its first mesh, and bounds of its unknowns."""
     problem = build_problem(scene, predict_task(task, "predict"))
     motion: MotionProgram = problem.program
-    program, guess, *_ = motion.assembled(problem.guesses, problem.parameters, 1.0)
+    program, guess, *_ = motion.assemble(problem.guesses, problem.parameters, 1.0)
     return program, guess
 
 
