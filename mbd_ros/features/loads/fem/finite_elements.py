@@ -1,4 +1,4 @@
-"""Loads as boundary conditions of finite elements: which mesh, which nodes, which file."""
+"""Loads as boundary conditions of finite elements, for several file formats."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -58,10 +58,10 @@ class MeshTask(NamedTuple):
 def body_of(
     history: History, instants: Sequence[Instant], task: MeshTask, units: Units
 ) -> tuple[Body, list[Step], str]:
-    """The body as finite elements, its steps, and a line about how well the mesh fits.
+    """Return the body as finite elements, its steps, and a line about the fit of the mesh.
 
     Raises:
-        DataError: A mesh, set, material or support that cannot be used.
+        DataError: The mesh, a set, the material or the support cannot be used.
     """
     if task.coupling not in COUPLINGS:
         raise DataError(f"--coupling {task.coupling}: accepted: {', '.join(COUPLINGS)}")
@@ -87,27 +87,27 @@ def body_of(
     return body, steps, check_steps(body, steps)
 
 
-def _support(history: History, attachments: Sequence[Attachment], given: str | None) -> str:
-    """Name of the load whose nodes are held."""
-    names = [one.name for one in attachments]
+def _support(history: History, attachments: Sequence[Attachment], support: str | None) -> str:
+    """Return the name of the load whose nodes are fixed."""
+    names = [attachment.name for attachment in attachments]
     if not names:
-        raise DataError(f"{history.body}: no load acts on it that could hold a mesh")
-    if given is not None and given not in names:
-        raise DataError(f"--support {given}: no such load; accepted: {', '.join(names)}")
-    return given or names[0]
+        raise DataError(f"{history.body}: no load acts on it, so nothing can support a mesh")
+    if support is not None and support not in names:
+        raise DataError(f"--support {support}: no such load; accepted: {', '.join(names)}")
+    return support or names[0]
 
 
 def write_body(
     body: Body, steps: Sequence[Step], out: Path, say: Say, amplitudes: bool = False
 ) -> None:
-    """Write the file that its suffix says: .inp, .feb, .vtu.
+    """Write a file in the format of its suffix: .inp, .feb or .vtu.
 
     Args:
-        say: Is told what was written.
-        amplitudes: One step over the whole motion, for .inp.
+        say: Called with each line for people.
+        amplitudes: Whether an .inp has one step over the whole motion.
 
     Raises:
-        DataError: What the format cannot hold, or a place that cannot be written to.
+        DataError: The format cannot hold the steps, or the file cannot be written.
     """
     if amplitudes and out.suffix != ".inp":
         raise DataError(f"{out}: --amplitudes goes with .inp; .feb has load curves by itself")
@@ -120,8 +120,8 @@ def write_body(
 
     with replacing(out) as file:
         file.write(text_of(_lines(body, steps, out, amplitudes, say)))
-    steps_said = "one step with amplitudes" if amplitudes else f"{len(steps)} steps"
-    say(f"{steps_said}, {len(body.mesh.points)} nodes -> {out}")
+    count = "one step with amplitudes" if amplitudes else f"{len(steps)} steps"
+    say(f"{count}, {len(body.mesh.points)} nodes -> {out}")
 
 
 def _lines(body: Body, steps: Sequence[Step], out: Path, amplitudes: bool, say: Say) -> Any:
