@@ -6,7 +6,7 @@ from typing import Any
 from mbd_ros.jobs.options import add_option
 from mbd_ros.scene.schema.locate import path_word
 
-MOTION = "CSV (.gz), .npz, .parquet, .mot, .sto, rosbag2 folder, .mcap or .db3 with the motion"
+MOTION = "Motion: CSV (.gz), .npz, .parquet, .mot, .sto, rosbag2 folder, .mcap or .db3."
 _TASK = "mbd_ros.motion.samples:Task"
 _DERIVATIVES = "mbd_ros.motion.derivatives:Derivatives"
 _STANCE = "mbd_ros.motion.stance:StanceTask"
@@ -22,7 +22,7 @@ def add_motions(parser: argparse.ArgumentParser) -> None:
         type=path_word,
         required=True,
         help="CSV (.gz), .npz, .parquet, .sto or bag for the result; a folder for the results of "
-        "several motions (required)",
+        "several motions (required).",
     )
     add_wrenches(parser)
     add_external(

@@ -95,11 +95,7 @@ def literal(expression):
         return None
 
 
-OTHERS = ("estimation", "gait", "identification", "prediction")
-MODULES = sorted(
-    {c.module for c in COMMANDS.values() if ".features." in c.module}
-    - {c.module for c in COMMANDS.values() if any(f".{name}." in c.module for name in OTHERS)}
-)
+MODULES = sorted({c.module for c in COMMANDS.values() if ".features." in c.module})
 
 
 @pytest.mark.parametrize("module", [*MODULES, "mbd_ros.motion.options"])

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=path_word,
         required=True,
-        help=".npz or .parquet for the motion and its gains (required)",
+        help=".npz or .parquet for the motion and its gains (required).",
     )
     add_options(parser, _JOB, *_OPTIONS)
 

@@ -16,16 +16,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "task",
         type=path_word,
         nargs="?",
-        help="task file with a section gait (default: a gait near the start of the scene)",
+        help="Task file with a section gait. By default the search starts at the start of the "
+        "scene.",
     )
     parser.add_argument(
         "-o",
         "--out",
         type=path_word,
-        help="motion of the first gait; .npz and .parquet hold all tables, a .csv comes with "
-        "OUT.gaits.csv, OUT.branches.csv and OUT.basin.csv",
+        help="Motion of the first gait; .npz and .parquet hold all tables, a .csv comes with "
+        "OUT.gaits.csv, OUT.branches.csv and OUT.basin.csv.",
     )
-    parser.add_argument("--page", type=path_word, help="HTML page with tables and pictures")
+    parser.add_argument("--page", type=path_word, help="HTML page with tables and pictures.")
     add_workers(parser)
 
 

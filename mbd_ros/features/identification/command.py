@@ -5,8 +5,11 @@ from collections.abc import Sequence
 
 from mbd_ros.errors import OK, DataError
 from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.options import add_option, add_options
 from mbd_ros.jobs.progress import say
 from mbd_ros.scene.schema.locate import path_word
+
+_TASK = "mbd_ros.features.identification.task:Task"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,102 +17,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_scene(parser)
     add_recordings(parser)
     parser.add_argument(
-        "-o", "--out", type=path_word, required=True, help="folder for the result (required)"
+        "-o", "--out", type=path_word, required=True, help="Folder for the result (required)."
     )
-    parser.add_argument(
-        "--learned",
-        type=float,
-        default=0.6,
-        help="share of the time of each recording that is for the fit; the rest is for the test "
-        "(default: %(default)s)",
-    )
-    parser.add_argument(
-        "--held",
-        type=path_word,
-        nargs="+",
-        default=(),
-        help="recordings of the robot with a known load; --payload describes the load",
-    )
-    parser.add_argument(
-        "--payload",
+    add_option(parser, _TASK, "learned")
+    add_option(parser, _TASK, "held")
+    add_option(
+        parser,
+        _TASK,
+        "payload",
+        type=str,
+        nargs=None,
         metavar="LINK=MASS,CX,CY,CZ[,IXX,IYY,IZZ]",
-        help="load of --held: mass in kg, and centre in m and moments about it in the axes of a "
-        "link",
     )
-    parser.add_argument(
-        "--known", nargs="+", default=(), metavar="LINK", help="links whose inertia is right"
-    )
-    parser.add_argument(
-        "--currents",
-        action="store_true",
-        help="efforts are in other units, such as motor currents; gains are estimated from a "
-        "known load, link or force",
-    )
-    parser.add_argument(
-        "--partial",
-        action="store_true",
-        help="accept a motion that hides some parameters; these keep their values",
-    )
+    add_option(parser, _TASK, "known", metavar="LINK")
+    add_options(parser, _TASK, "currents", "partial")
 
 
 def add_recordings(parser: argparse.ArgumentParser) -> None:
     """Add options about the recordings and their processing."""
-    parser.add_argument(
-        "motion", type=path_word, nargs="+", help="tables or bags with positions and efforts"
-    )
-    parser.add_argument(
-        "--wrenches",
-        type=path_word,
-        nargs="+",
-        default=(),
-        help="tables of the external loads, one per motion; a bag contains its own",
-    )
-    parser.add_argument(
-        "--topic",
-        default="/joint_states",
-        help="JointState topic of bags (default: %(default)s)",
-    )
-    parser.add_argument(
-        "--derivatives",
-        choices=("given", "zero-phase"),
-        help="where velocities and accelerations come from (default: given where a motion has "
-        "accelerations, else zero-phase)",
-    )
+    add_option(parser, _TASK, "motions", "motion", type=path_word)
+    add_options(parser, _TASK, "wrenches", "topic", "derivatives")
     add_physics(parser)
 
 
 def add_physics(parser: argparse.ArgumentParser) -> None:
     """Add options about the unknowns and about what is known."""
-    parser.add_argument(
-        "--band",
-        type=float,
-        help="end of the frequency band of the fit in Hz (default: from the motion, and printed)",
-    )
-    parser.add_argument(
-        "--friction",
-        nargs="+",
-        default=["auto"],
-        metavar="TERM",
-        help="auto, none, or of viscous coulomb offset load stribeck inertia (default: auto)",
-    )
-    parser.add_argument(
-        "--gain",
-        nargs="+",
-        default=(),
-        metavar="JOINT=VALUE",
-        help="torque for a unit of effort, such as a motor constant behind a gear in N·m/A",
-    )
-    parser.add_argument(
-        "--passive",
-        nargs="+",
-        default=(),
-        metavar="JOINT",
-        help="joints without a motor (default: where nothing is measured but wrenches, those that "
-        "place the first body)",
-    )
-    parser.add_argument(
-        "--delay", type=float, help="delay of efforts against motion in s (default: estimated)"
-    )
+    add_option(parser, _TASK, "band")
+    add_option(parser, _TASK, "friction", metavar="TERM")
+    form = {"type": str, "nargs": "+", "default": (), "metavar": "JOINT=VALUE"}
+    add_option(parser, _TASK, "gains", "--gain", dest="gain", **form)
+    add_option(parser, _TASK, "passive", metavar="JOINT")
+    add_option(parser, _TASK, "delay")
 
 
 def parse_payload(argument: str | None) -> tuple[str, list[float]] | None:

@@ -1,7 +1,7 @@
 """Options and result of an identification."""
 
 from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
@@ -18,30 +18,37 @@ class Task(NamedTuple):
     """Options of an identification.
 
     Attributes:
-        motions: Results, files or bags.
-        wrenches: Tables with external loads, one per motion, or none.
+        motions: Results, tables or bags with positions and efforts.
+        wrenches: Tables of the external loads, one per motion; a bag contains its own.
         topic: JointState topic of bags.
-        derivatives: given or zero-phase; None: given where a motion has accelerations.
-        band: End of the frequency band of the fit [Hz]; None: from the motion.
-        friction: Terms of friction that may be used, or `auto` for all.
-        gains: Joint -> torque for a unit of its effort, such as a motor constant [N·m/A].
-        passive: Joints without a motor.
-        learned: Share of the time of each recording that is used for the fit.
-        delay: Delay of efforts against motion [s]; None: estimated.
-        held: Motions with a known load.
-        payload: The known load: link, and mass, centre and optionally principal moments about the
-            centre, in the axes of the link.
+        derivatives: Source of velocities and accelerations. By default given for a motion with
+            accelerations, else zero-phase.
+        band: End of the frequency band of the fit [Hz]. By default it is chosen from the motion
+            and printed.
+        friction: Terms of friction that may be used: auto for all, none, or some of viscous,
+            coulomb, offset, load, stribeck and inertia.
+        gains: Torque for a unit of the effort of a joint, such as a motor constant behind a gear
+            [N·m/A].
+        passive: Joints without a motor. By default joints that place the first body, if nothing
+            but wrenches is measured.
+        learned: Share of the time of each recording that is used for the fit; the remaining part
+            is for the test.
+        delay: Delay of efforts against motion [s]. By default it is estimated.
+        held: Recordings of the robot with a known load, which `payload` describes.
+        payload: The known load: a link, and mass [kg], centre [m] and optionally principal moments
+            about the centre [kg m^2], in the axes of the link.
         known: Links whose inertia in the description is right.
-        currents: Whether efforts are in other units, whose gains are estimated.
-        partial: Identify what the motion shows, even if it hides some parameters.
+        currents: Efforts are in other units, such as motor currents. Their gains are estimated
+            from a known load, link or force.
+        partial: Accept a motion that hides some parameters; these keep their values.
     """
 
     motions: Sequence[Source]
     wrenches: Sequence[Source] = ()
     topic: str = "/joint_states"
-    derivatives: str | None = None
+    derivatives: Literal["given", "zero-phase"] | None = None
     band: float | None = None
-    friction: Sequence[str] = (AUTO,)
+    friction: Sequence[str] = ("auto",)
     gains: Mapping[str, float] = {}
     passive: Sequence[str] = ()
     learned: float = 0.6

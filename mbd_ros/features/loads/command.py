@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         type=path_word,
         required=True,
         help="CSV (.gz), .npz, .parquet or .sto; with --mesh .inp (CalculiX, Abaqus), .feb "
-        "(FEBio) or .vtu (a series for ParaView) (required)",
+        "(FEBio) or .vtu (a series for ParaView) (required).",
     )
     _add_mesh(parser)
     add_wrenches(parser)

@@ -12,13 +12,13 @@ from mbd_ros.scene.schema.locate import path_word
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `predict` to a parser."""
     add_scene(parser)
-    parser.add_argument("task", type=path_word, help="task file with a section predict")
+    parser.add_argument("task", type=path_word, help="Task file with a section predict.")
     parser.add_argument(
         "-o",
         "--out",
         type=path_word,
-        help="predicted motion; .npz and .parquet hold all tables, .csv comes with OUT.goals.csv "
-        "and OUT.nodes.csv",
+        help="Predicted motion; .npz and .parquet hold all tables, .csv comes with OUT.goals.csv "
+        "and OUT.nodes.csv.",
     )
     add_workers(parser)
 

@@ -32,7 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         type=path_word,
         required=True,
-        help="CSV (.gz), .npz, .parquet or bag for the result (required)",
+        help="CSV (.gz), .npz, .parquet or bag for the result (required).",
     )
     add_option(parser, _JOB, "integrator", type=str)
     add_option(parser, _JOB, "tolerance")

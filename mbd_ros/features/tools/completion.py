@@ -121,7 +121,7 @@ SHELLS: Mapping[str, Callable[[Mapping[str, Words]], Iterator[str]]] = {
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """The words that `completion` understands."""
-    parser.add_argument("shell", choices=list(SHELLS), help="whose language the script is in")
+    parser.add_argument("shell", choices=list(SHELLS), help="Whose language the script is in.")
 
 
 def run(arguments: argparse.Namespace) -> int:

@@ -4,31 +4,23 @@ import argparse
 
 from mbd_ros.errors import OK
 from mbd_ros.jobs.arguments import add_scene
+from mbd_ros.jobs.options import add_option, add_options
 from mbd_ros.jobs.progress import say
 from mbd_ros.scene.schema.locate import path_word
+
+_JOB = "mbd_ros.features.identification.excite.job:excite"
+_FILES = "mbd_ros.features.identification.excite.trajectory_files:excite_to"
+_OPTIONS = ("period", "harmonics", "share", "evaluations", "seed")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the options of `excite` to a parser."""
     add_scene(parser)
     parser.add_argument(
-        "-o", "--out", type=path_word, required=True, help="folder for the trajectory (required)"
+        "-o", "--out", type=path_word, required=True, help="Folder for the trajectory (required)."
     )
-    options = (
-        ("--period", float, 10.0, "period of the motion in s; the motion can be repeated"),
-        ("--harmonics", int, 5, "harmonics of the motion"),
-        (
-            "--share",
-            float,
-            0.9,
-            "share of the limits of position, velocity and effort that is used",
-        ),
-        ("--rate", float, 50.0, "points of the trajectory per second"),
-        ("--evaluations", int, 2000, "motions that are compared"),
-        ("--seed", int, 0, "seed of the random numbers"),
-    )
-    for name, kind, default, text in options:
-        parser.add_argument(name, type=kind, default=default, help=f"{text} (default: {default})")
+    add_options(parser, _JOB, *_OPTIONS)
+    add_option(parser, _FILES, "rate")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -36,7 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     from mbd_ros.features.identification.excite.trajectory_files import excite_to
     from mbd_ros.scene.reader import load_scene
 
-    names = ("period", "harmonics", "share", "evaluations", "seed")
-    options = {name: getattr(arguments, name) for name in names}
-    excite_to(load_scene(arguments.scene), arguments.out, arguments.rate, options, say)
+    options = {name: getattr(arguments, name) for name in _OPTIONS}
+    scene = load_scene(arguments.scene)
+    excite_to(scene, arguments.out, options, say, rate=arguments.rate)
     return OK

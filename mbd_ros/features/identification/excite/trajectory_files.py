@@ -22,13 +22,15 @@ _MOST_POINTS = 2850  # points that controllers accept in a trajectory
 _FIELDS = ("positions", "velocities", "accelerations")
 
 
-def excite_to(scene: Scene, out: Path, rate: float, options: dict[str, Any], say: Say) -> None:
+def excite_to(
+    scene: Scene, out: Path, options: dict[str, Any], say: Say, *, rate: float = 50.0
+) -> None:
     """Search an excitation and write `trajectory.yaml`, `trajectory.mcap` and `trajectory.csv`.
 
     Args:
-        rate: Points of the trajectory per second [Hz].
         options: Options of `excite`.
         say: Receives lines for people.
+        rate: Points of the trajectory per second [Hz].
     """
     count = rate * options["period"]
     if not 4 <= count <= _MOST_POINTS:

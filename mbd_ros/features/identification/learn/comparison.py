@@ -61,8 +61,16 @@ TorqueModel = Callable[[Samples], Array]
 StateGenerator = Callable[[Scales, np.random.Generator], tuple[Samples, Array]]
 
 
-def compare_to(scene: Scene, task: Task, folder: Path, seeds: int, say: Say) -> None:
-    """Compare, and write `comparison.csv`, `runs.csv` and `comparison.png`; all, or none."""
+def compare_to(scene: Scene, task: Task, folder: Path, say: Say, *, seeds: int = 3) -> None:
+    """Compare, and write `comparison.csv`, `runs.csv` and `comparison.png`; all, or none.
+
+    Args:
+        scene: The scene.
+        task: Options of learning.
+        folder: Folder of the files.
+        say: Function that is called with each line for people.
+        seeds: Number of seeds that are compared.
+    """
     if not 1 <= seeds <= 100:
         raise DataError(f"--seeds {seeds}: accepted are 1 .. 100")
     refuse_sources(folder, task, None)

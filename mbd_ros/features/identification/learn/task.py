@@ -1,7 +1,7 @@
 """Options and result of learning a torque model."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError
@@ -12,8 +12,10 @@ from mbd_ros.methods.learned import About
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 
-VARIANTS = ("free", "structured", "informed")
-PHYSICS = ("identified", "given")
+Variant = Literal["free", "structured", "informed"]
+Physics = Literal["identified", "given"]
+VARIANTS = get_args(Variant)
+PHYSICS = get_args(Physics)
 FREEZE = ("physics", "all-but adapters")
 _STEPS = {"free": 400, "structured": 300, "informed": 400}
 
@@ -22,18 +24,23 @@ class Task(NamedTuple):
     """Options of learning.
 
     Attributes:
-        motions: Results, files or bags.
-        wrenches: Tables with external loads, one per motion, or none.
+        motions: Results, tables or bags with positions and efforts.
+        wrenches: Tables of the external loads, one per motion; a bag contains its own.
         topic: JointState topic of bags.
-        derivatives: given or zero-phase; None: given where a motion has accelerations.
-        band: End of the frequency band of motions and efforts [Hz]; None: from the motion.
+        derivatives: Source of velocities and accelerations. By default given for a motion with
+            accelerations, else zero-phase.
+        band: End of the frequency band of motions and efforts [Hz]. By default it is chosen from
+            the motion.
         learned: Share of the time of each recording that is used for training.
-        variant: One of `VARIANTS`.
-        physics: One of `PHYSICS`: the scene that the network corrects.
-        freeze: One of `FREEZE`.
-        start: Earlier model that is adapted; None for a new model.
+        variant: free: a network without structure. structured: friction and a Lagrangian.
+            informed: as free, but it follows the equations of motion where there are no data.
+        physics: Scene that the network corrects: first identified from the same samples, or as
+            given.
+        freeze: Part that does not change while the model of `start` is adapted: physics, or
+            all-but adapters.
+        start: Earlier model that is adapted. By default a new model is trained.
         members: Number of networks in the ensemble.
-        steps: Steps of the optimization; None: by variant.
+        steps: Steps of the optimization. By default they depend on the variant.
         seed: Seed of the random numbers.
         rate: Initial learning rate of the optimization.
     """
@@ -41,11 +48,11 @@ class Task(NamedTuple):
     motions: Sequence[Source]
     wrenches: Sequence[Source] = ()
     topic: str = "/joint_states"
-    derivatives: str | None = None
+    derivatives: Literal["given", "zero-phase"] | None = None
     band: float | None = None
     learned: float = 0.6
-    variant: str = "free"
-    physics: str = "identified"
+    variant: Variant = "free"
+    physics: Physics = "identified"
     freeze: str = "physics"
     start: "LearnedModel | None" = None
     members: int = 5

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -42,7 +42,7 @@ def payload(
     without: Source | None = None,
     wrenches: Source | None = None,
     topic: str = "/joint_states",
-    derivatives: str | None = None,
+    derivatives: Literal["given", "zero-phase"] | None = None,
     band: float | None = None,
     gains: dict[str, float] | None = None,
     partial: bool = False,
@@ -54,14 +54,15 @@ def payload(
     Args:
         scene: The scene without the payload.
         motion: Result, file or bag with positions and efforts.
-        frame: Link that carries the payload; None for the last link of the longest chain.
-        without: A recording of the robot without the payload, from which the robot is identified
-            first; None: the scene is right.
-        wrenches: Table with external loads.
+        frame: Link that carries the payload. By default the last link of the longest chain.
+        without: Recording of the robot without the payload, from which the robot is identified
+            first. By default the scene is right.
+        wrenches: Table of the external loads; a bag contains its own.
         topic: JointState topic of bags.
-        derivatives: given or zero-phase; None: given where a motion has accelerations.
-        band: End of the frequency band of the fit [Hz]; None: from the motion.
-        gains: Joint -> torque for a unit of its effort.
+        derivatives: Source of velocities and accelerations. By default given for a motion with
+            accelerations, else zero-phase.
+        band: End of the frequency band of the fit [Hz]. By default it is chosen from the motion.
+        gains: Torque for a unit of the effort of a joint.
         partial: Accept a motion that hides some of the inertial parameters.
         say: Function that is called with each line for people.
         progress: True for a progress line on a terminal, or a function of a label and a share.

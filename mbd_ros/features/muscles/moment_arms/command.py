@@ -12,13 +12,13 @@ from mbd_ros.scene.schema.locate import path_word
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of `moment-arms`."""
     add_scene(parser)
-    parser.add_argument("motion", type=path_word, help=f"{MOTION}; speeds need its velocities")
+    parser.add_argument("motion", type=path_word, help=f"{MOTION} Speeds need its velocities.")
     parser.add_argument(
         "-o",
         "--out",
         type=path_word,
         required=True,
-        help="CSV (.gz), .npz, .parquet or .sto for the result (required)",
+        help="CSV (.gz), .npz, .parquet or .sto for the result (required).",
     )
     add_topic(parser)
 
