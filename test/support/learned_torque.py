@@ -6,7 +6,7 @@ import numpy as np
 
 from mbd_ros.features.identification.learn.onnx_file import onnx_bytes
 from mbd_ros.features.identification.learn.training_samples import CURVES, Scales
-from mbd_ros.methods.learned import About, numbers_of
+from mbd_ros.methods.learned_model import About, numbers_of
 from mbd_ros.scene.reading.learned_entries import physics_beside
 
 MEMBERS, HIDDEN = 3, 8

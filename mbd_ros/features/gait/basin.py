@@ -146,7 +146,7 @@ def _follow(
         except FallError:
             return FELL, cycle
         for number, gait in gaits.items():
-            difference = flow.minus(travel.back(flow, x, gait), gait)
+            difference = flow.minus(travel.move_back(flow, x, gait), gait)
             if float(np.abs(difference).max()) < float(order["near"]):
                 return number, cycle
     return UNDECIDED, int(order["cycles"])

@@ -16,10 +16,10 @@ from mbd_ros.core.thresholds import FORGOTTEN
 from mbd_ros.errors import FallError, SolveError
 from mbd_ros.methods.sensitivities.flow import HybridFlow, Segment, Travel
 from mbd_ros.methods.sensitivities.saltation import (
-    landed,
-    landing,
+    move_to_guard,
+    propagate_through_event,
+    propagate_to_section,
     section_reset,
-    through,
     transition,
 )
 
@@ -231,14 +231,14 @@ class ReturnMap:
             FallError: The motion does not return to the event.
         """
         flow = self.flow
-        y = flow.onto(y._replace(t=self.section.end.t))
-        y = landed(flow, self.section, y, flow.rate(y))
+        y = flow.project(y._replace(t=self.section.end.t))
+        y = move_to_guard(flow, self.section, y, flow.rate(y))
         x = flow.reset(self.section, y)
         start, segments = self.section._replace(end=y, after=x), list[Segment]()
         for _ in range(self.cycles):
             segments += flow.cycle(x)
             x = segments[-1].after
-        back = self.travel.back(flow, segments[-1].end, y)
+        back = self.travel.move_back(flow, segments[-1].end, y)
         return Passage(start, tuple(segments), back, flow.minus(back, y))
 
     def derivative(self, passage: Passage) -> Array:
@@ -253,9 +253,11 @@ class ReturnMap:
         flow, segments = self.flow, passage.segments
         moved, late = section_reset(flow, passage.start), np.zeros(flow.size)
         for segment in segments[:-1]:
-            moved, delays = through(flow, segment, transition(flow, segment).dot(moved), late)
+            moved, delays = propagate_through_event(
+                flow, segment, transition(flow, segment).dot(moved), late
+            )
             late = delays if flow.ends_phase(segment) else late
         last = segments[-1]
-        moved = landing(flow, last, transition(flow, last).dot(moved), late)
-        derivative: Array = self.travel.without(last.end, flow.size).dot(moved)
+        moved = propagate_to_section(flow, last, transition(flow, last).dot(moved), late)
+        derivative: Array = self.travel.projector(last.end, flow.size).dot(moved)
         return derivative

@@ -61,7 +61,7 @@ def search_gaits(family: SceneFamily, say: Say) -> list[Gait]:
     if not gaits:
         raise _no_gait_error(family, failures)
     origin = gaits[0].motion.passage.begin
-    states = [gait.travel.back(flow, gait.motion.passage.begin, origin) for gait in gaits]
+    states = [gait.travel.move_back(flow, gait.motion.passage.begin, origin) for gait in gaits]
     return [gaits[i] for i in distinct_states(states, flow, _SAME)]
 
 
@@ -71,14 +71,14 @@ def build_guesses(scene: Scene, task: GaitTask, flow: SimulatedFlow) -> Iterator
     initial = scene.entries.get("initial") or {}
     for i, guess in enumerate(given):
         if not guess:
-            yield flow.started(scene.initial)
+            yield flow.start(scene.initial)
             continue
         try:
-            yield flow.started(with_sections(scene, initial=_merged(initial, guess)).initial)
+            yield flow.start(with_sections(scene, initial=_merged(initial, guess)).initial)
         except SceneError as error:
             raise SceneError(f"{task.source}: gait.guesses[{i}]: {error}") from error
     if task.search:
-        first = flow.started(scene.initial)
+        first = flow.start(scene.initial)
         for start in grid_starts(task.search):
             try:
                 yield place_start(scene, flow, first, start)
@@ -127,7 +127,7 @@ def place_start(scene: Scene, flow: SimulatedFlow, x: State, start: Start) -> St
             positions[index] = value - float(state.q[joint.q])
         else:
             velocities[index] = value
-    return flow.placed(x, positions, velocities)
+    return flow.set_coordinates(x, positions, velocities)
 
 
 def _find_gait(family: SceneFamily, x: State, others: Sequence[Gait]) -> Gait:
@@ -220,7 +220,7 @@ class SceneFamily:
 
         def at(value: float) -> ReturnMap:
             flow = self.flow(value)
-            return ReturnMap(flow, flow.own(section), travel, self.task.cycles)
+            return ReturnMap(flow, flow.with_own_guard(section), travel, self.task.cycles)
 
         return at
 
@@ -350,7 +350,7 @@ def _invariants(flow: Any, segments: Sequence[Segment]) -> Iterator[tuple[State,
     """Yield states, and functions of the state that a travel must not change."""
 
     def within(x: State) -> Array:
-        return np.concatenate((flow.rate(x), flow.open(x)))
+        return np.concatenate((flow.rate(x), flow.residual(x)))
 
     for segment in segments:
         yield segment.begin, within

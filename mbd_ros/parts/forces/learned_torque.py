@@ -12,7 +12,7 @@ from mbd_ros.core.model.robot import Robot
 from mbd_ros.core.ranges import Positive, Unit
 from mbd_ros.core.state import Array, State
 from mbd_ros.errors import ModelError, install_hint
-from mbd_ros.methods.learned import (
+from mbd_ros.methods.learned_model import (
     FADE,
     LARGEST,
     About,

@@ -7,7 +7,7 @@ from typing import Any
 
 from mbd_ros.core.contracts import Load
 from mbd_ros.errors import ModelError, SceneError
-from mbd_ros.methods.learned import LARGEST, About, LearnedFile, check_physics, physics_of
+from mbd_ros.methods.learned_model import LARGEST, About, LearnedFile, check_physics, physics_of
 from mbd_ros.regular_file import open_regular
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema import schema

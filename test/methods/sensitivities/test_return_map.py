@@ -12,9 +12,9 @@ from mbd_ros.features.gait.continuation import DOUBLING, Continuation
 from mbd_ros.features.gait.periodic import ReturnMap, multipliers, periodic_motion
 from mbd_ros.methods.sensitivities.flow import Travel
 from mbd_ros.methods.sensitivities.saltation import (
-    crossing,
     derivative,
-    reset_along,
+    guard_crossing,
+    reset_along_guard,
     saltation,
     transition,
 )
@@ -94,7 +94,7 @@ def test_a_map_without_saltation_is_another_one(two_steps):
     """What the delay of an event does is forgotten: the derivative is off by more than it is."""
     way, passage = two_steps
     flow, (one, two) = way.flow, passage.segments
-    jump = reset_along(flow, one, crossing(flow, one, one.end))
+    jump = reset_along_guard(flow, one, guard_crossing(flow, one, one.end))
     plain = (
         transition(flow, two)
         @ derivative(flow, lambda y: flow.minus(flow.reset(one, y), one.after), one.end)

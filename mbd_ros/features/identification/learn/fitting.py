@@ -36,7 +36,7 @@ from mbd_ros.features.identification.samples import (
 )
 from mbd_ros.jobs.progress import Say
 from mbd_ros.methods.inverse_dynamics.inverse_dynamics import InverseDynamics
-from mbd_ros.methods.learned import About, check_physics, check_robot, numbers_of
+from mbd_ros.methods.learned_model import About, check_physics, check_robot, numbers_of
 from mbd_ros.motion.samples import select_rows
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reading.learned_entries import physics_beside

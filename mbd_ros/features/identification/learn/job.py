@@ -38,7 +38,7 @@ from mbd_ros.files.output_folder import write_files
 from mbd_ros.files.table import Column, Result, Table
 from mbd_ros.files.text_file import refuse_overwriting
 from mbd_ros.jobs.progress import Say, Watch, share_watch, watching
-from mbd_ros.methods.learned import TrainingRange, check_robot, numbers_of
+from mbd_ros.methods.learned_model import TrainingRange, check_robot, numbers_of
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.reader import load_scene

@@ -23,7 +23,7 @@ from mbd_ros.features.identification.learn.training_samples import (
     friction_curves,
 )
 from mbd_ros.features.identification.regressor import Regressor, base_parameters, random_states
-from mbd_ros.methods.learned import About
+from mbd_ros.methods.learned_model import About
 from mbd_ros.scene.built_scene import Scene
 
 _STATES = 100  # random states that tell which parameters motions can show

@@ -14,7 +14,7 @@ from mbd_ros.features.identification.learn.training_samples import (
     energy_scale,
     inertia_scale,
 )
-from mbd_ros.methods.learned import ABOUT, SUM, ZEROS, About, signed
+from mbd_ros.methods.learned_model import ABOUT, SUM, ZEROS, About, signed
 
 _OPSET = 17
 _IR = 8  # version of the file format, which readers of some years ago support

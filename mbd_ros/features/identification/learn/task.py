@@ -8,7 +8,7 @@ from mbd_ros.errors import DataError
 from mbd_ros.features.identification.learn.linear_corrections import SampleStatistics
 from mbd_ros.features.identification.learn.training_samples import Scales
 from mbd_ros.files.table import Table
-from mbd_ros.methods.learned import About
+from mbd_ros.methods.learned_model import About
 from mbd_ros.motion.recordings import Source
 from mbd_ros.scene.built_scene import Scene
 

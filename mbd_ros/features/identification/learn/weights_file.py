@@ -14,7 +14,7 @@ from mbd_ros.errors import DataError, ModelError
 from mbd_ros.features.identification.learn.linear_corrections import SampleStatistics
 from mbd_ros.features.identification.learn.task import LearnedModel
 from mbd_ros.features.identification.learn.training_samples import CURVES, Scales
-from mbd_ros.methods.learned import STRUCTURED, About, about_in
+from mbd_ros.methods.learned_model import STRUCTURED, About, about_in
 from mbd_ros.npz_file import read_arrays
 
 WEIGHTS = "weights.npz"

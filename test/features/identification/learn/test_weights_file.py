@@ -14,7 +14,7 @@ from mbd_ros.features.identification.learn.weights_file import (
     read_folder,
     weights_file,
 )
-from mbd_ros.methods.learned import About
+from mbd_ros.methods.learned_model import About
 
 M, P = 2, 5
 
@@ -56,15 +56,15 @@ def about(**changes):
         ({"scale.v": np.array([1.0, 0.0])}, "array 'scale.v' has numbers that are not above 0"),
         ({"trust": np.array([1.0, 2.0])}, "array 'trust' has numbers outside of 0 .. 1"),
         ({"numbers": np.zeros(3)}, "array 'known.triangle' has shape"),
-        ({"about": np.array("[" * 100_000)}, "does not say what it belongs to"),
-        ({"about": np.array("7")}, "does not say what it belongs to"),
-        ({"about": np.zeros(3)}, "does not say what it belongs to"),
-        ({"about": about(kind="other")}, "is of no kind that is known, accepted: free, struct"),
-        ({"about": about(joints="ab")}, "joints are not different names"),
-        ({"about": about(joints=["a", "a"])}, "joints are not different names"),
-        ({"about": about(low=[10**400] * 4)}, "does not say what it belongs to"),
+        ({"about": np.array("[" * 100_000)}, "has no valid description of its model"),
+        ({"about": np.array("7")}, "has no valid description of its model"),
+        ({"about": np.zeros(3)}, "has no valid description of its model"),
+        ({"about": about(kind="other")}, "has an unknown kind, accepted: free, struct"),
+        ({"about": about(joints="ab")}, "joints must be a list of different names"),
+        ({"about": about(joints=["a", "a"])}, "joints must be a list of different names"),
+        ({"about": about(low=[10**400] * 4)}, "has no valid description of its model"),
         ({"about": about(version="x" * 5000)}, "has version x* of learned models"),
-        ({"about": about(robot=[1])}, "does not say what it belongs to"),
+        ({"about": about(robot=[1])}, "has no valid description of its model"),
     ],
 )
 def test_what_does_not_belong_together_is_named(changes, message, tmp_path):

@@ -13,7 +13,7 @@ from mbd_ros.core.state import NONE, State
 from mbd_ros.errors import SceneError
 from mbd_ros.features.identification.learn.onnx_file import onnx_bytes
 from mbd_ros.methods.control.contract import ControlledJoints, EffortBox, Reference
-from mbd_ros.methods.learned import SUM, ZEROS, About, numbers_of, signed
+from mbd_ros.methods.learned_model import SUM, ZEROS, About, numbers_of, signed
 from mbd_ros.parts.controllers.computed_torque import ComputedTorque
 from mbd_ros.scene.reading.learned_entries import physics_beside
 
@@ -226,8 +226,8 @@ def product_of_gigabytes(data):
     [
         (damaged, "damaged"),
         (lambda data: data[:3000], "damaged|no file of mbd-ros learn"),
-        (lambda data: b"\x80\x04\x95cos\nsystem\n", "no file of mbd-ros learn"),
-        (lambda data: b"", "no file of mbd-ros learn"),
+        (lambda data: b"\x80\x04\x95cos\nsystem\n", "not a file of mbd-ros learn"),
+        (lambda data: b"", "not a file of mbd-ros learn"),
         (versioned, "version 9 .* accepted: 1"),
         (foreign_operator, "the network cannot be evaluated: operator 'RunCode', accepted: Add,"),
         (endless, "the network cannot be evaluated: operator 'Loop'"),
@@ -235,7 +235,7 @@ def product_of_gigabytes(data):
         (elsewhere, "has numbers that are sparse or in another file"),
         (with_function, "has functions of its own"),
         (product_of_gigabytes, "the network cannot be evaluated: .*[Mm]emory"),
-        (other_numbers, "does not say what it belongs to"),
+        (other_numbers, "has no valid description of its model"),
     ],
 )
 def test_a_file_that_is_none_is_refused_by_name(folder, tmp_path, change, message):
@@ -387,10 +387,10 @@ def test_corrections_of_stiffness_are_springs(folder):
 @pytest.mark.parametrize(
     ("more", "message"),
     [
-        ({"stiffness": {"joint2": [1.0]}}, "not stiffness and rest"),
+        ({"stiffness": {"joint2": [1.0]}}, "needs two numbers: stiffness and rest"),
         ({"bodies": {"nosuch": [0.0] * 10}}, "no body 'nosuch'"),
-        ({"bodies": {"link3": [0.0] * 9}}, "'link3' has 9 numbers, not 10"),
-        ({"friction": {"joint2": [0.0, 0.0, 1.0, 0.0]}}, "not offset, viscous and curves"),
+        ({"bodies": {"link3": [0.0] * 9}}, "'link3' has 9 numbers, accepted: 10"),
+        ({"friction": {"joint2": [0.0, 0.0, 1.0, 0.0]}}, "needs offset, viscous, then pairs"),
         ({"friction": {"nosuch": [0.0, 0.0]}}, "nosuch"),
     ],
 )
