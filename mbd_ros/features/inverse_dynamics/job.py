@@ -120,7 +120,7 @@ def run_inverse(scene: Scene, task: Task, say: Say) -> Result:
     """Do the task of `inverse`."""
     where, solved = name_of(task.motion), solve_motion(scene, task, say)
     scene, observed, ground = solved.scene, solved.observed, solved.ground
-    columns, remarks, explained = solved.way
+    columns, remarks, explained = solved.solution
     if task.power:
         powers, text = power_columns(scene, explained, solved.wrenches, solved.contacts)
         columns, remarks = [*columns, *powers], [*remarks, text]

@@ -150,7 +150,7 @@ def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History,
     except ModelError as error:
         raise SceneError(f"{scene.name}: {error}") from error
     solved = solve_motion(scene, task.motion, say)
-    for text in solved.way.remarks:
+    for text in solved.solution.remarks:
         say(text)
     history = _history(body, solved, task, say)
     _check(history, name_of(task.motion.motion), say)
@@ -168,7 +168,7 @@ def run_loads(scene: Scene, task: LoadsTask, say: Say) -> tuple[Result, History,
 def _history(body: FreeBody, solved: Solved, task: LoadsTask, say: Say) -> History:
     paths, stamps = commanded_paths(solved.scene), solved.observed.samples.stamps
     tensions = tensions_at(paths, task.motion.motion, task.muscle_forces, stamps, say)
-    explained, scene = solved.way.explained, solved.scene
+    explained, scene = solved.solution.explained, solved.scene
     measured = {n: w for n, w in scene.wrenches.items() if n not in solved.contacts}
     acting = ActingWrenches(explained.rows, scene.forces_without_input, measured, paths)
     places = [i for i, name in enumerate(scene.wrenches) if name in measured]
