@@ -62,7 +62,7 @@ _NEAR = 1.0e-3  # largest violation in them
 
 
 def solve(problem: Problem, task: PredictTask, say: Say) -> Prediction:
-    """Solve the problem on the first mesh, and on refine_mesh ones.
+    """Solve the problem on the first mesh, and on refined ones.
 
     Args:
         say: Receives a line for each mesh.
