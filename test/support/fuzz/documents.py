@@ -3,6 +3,7 @@
 import json
 import random
 from collections.abc import Iterator
+from math import nan
 from typing import Any
 from xml.etree import ElementTree
 
@@ -16,7 +17,6 @@ WORK = frozenset(
         *("interval", "accuracy", "tolerance", "count"),
     }
 )
-FEW = (0, -1, 1, 2, 1.5, None, "", "x", [], {}, [1, 2], [2, 1], True, float("nan"))
 KEYS = ("type", "name", "position", "*", "__class__", "weight", "file")
 
 
@@ -51,16 +51,21 @@ def change_value(rng: random.Random, values: Any, mild: bool) -> None:
     if mild:
         inner[key] = near(rng, inner[key])
     elif _works(inner, key):  # it stays: its default may be more work
-        inner[key] = rng.choice(FEW)
+        inner[key] = _little(rng)
     elif draw < 0.6:
         inner[key] = anything(rng)
     elif draw < 0.75:
         del inner[key]
     elif isinstance(inner, dict):
         new = rng.choice((*KEYS, *inner, str(anything(rng))))
-        inner[new] = rng.choice(FEW) if draw < 0.9 or new in WORK else inner.pop(key)
+        inner[new] = _little(rng) if draw < 0.9 or new in WORK else inner.pop(key)
     else:
         inner.extend([inner[key]] * rng.choice((1, 2, 30)))
+
+
+def _little(rng: random.Random) -> Any:
+    """A value that asks for little work; a new list each time, since mutations change lists."""
+    return rng.choice((0, -1, 1, 2, 1.5, None, "", "x", [], {}, [1, 2], [2, 1], True, nan))
 
 
 def _works(inner: Any, key: Any) -> bool:
