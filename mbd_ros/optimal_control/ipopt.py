@@ -22,8 +22,9 @@ _WARM = {
     "mu_init": 1.0e-7,
     "bound_push": 1.0e-4,  # nearer to inactive bounds, steps would be short
     "bound_frac": 1.0e-4,
-    "bound_mult_init_method": "mu-based",
 }
+_BY_SLACKS = {"bound_mult_init_method": "mu-based"}  # multipliers of bounds are mu over slacks
+_NARROW = 1.0e-10  # of the size of bounds: closer ones leave no slack, and IPOPT would crash
 # for programs with discontinuous derivatives: ends where the cost no longer changes, although the
 # gradient of the Lagrangian does
 KINKED: Mapping[str, Any] = {
@@ -69,6 +70,9 @@ def solve(
         options: Further options of IPOPT, by name.
     """
     functions, at = program.functions(), program.open
+    sizes, (row_lower, row_upper) = program.sizes[at], program.bounds
+    lower, upper = lower[at] / sizes, upper[at] / sizes
+    is_narrow = _are_narrow(lower, upper) or _are_narrow(row_lower, row_upper)
     ipopt: dict[str, Any] = {
         "print_level": 0,
         "sb": "yes",
@@ -81,6 +85,7 @@ def solve(
         "linear_solver": "mumps",
         "mumps_permuting_scaling": 0,  # unknowns are scaled; permuted factors are a third larger
         **(_WARM if is_near else {}),
+        **(_BY_SLACKS if is_near and not is_narrow else {}),
         **options,
     }
     derivatives = {name: functions[name] for name in ("grad_f", "jac_g", "hess_lag")}
@@ -90,15 +95,20 @@ def solve(
         more["iteration_callback"] = watch
     arguments = {**derivatives, **more, "ipopt": ipopt}
     solver = ca.nlpsol("predict", "ipopt", functions["program"], arguments)
-    sizes, (row_lower, row_upper) = program.sizes[at], program.bounds
     result = solver(
         x0=guess[at] / sizes,
-        lbx=lower[at] / sizes,
-        ubx=upper[at] / sizes,
+        lbx=lower,
+        ubx=upper,
         lbg=row_lower,
         ubg=row_upper,
     )
     return _unscale(program, guess, result, solver.stats(), functions)
+
+
+def _are_narrow(lower: Array, upper: Array) -> bool:
+    """Return whether some bounds differ by no more than rounding, but differ."""
+    size = np.maximum(1.0, np.maximum(np.abs(lower), np.abs(upper)))
+    return bool(((lower < upper) & (upper - lower < _NARROW * size)).any())
 
 
 class _Watch(ca.Callback):  # type: ignore[misc]

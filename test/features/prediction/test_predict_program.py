@@ -7,7 +7,9 @@ from prediction_scenes import biped, cart_pole, four_bar, hanging_muscle
 
 from mbd_ros.features.prediction.problem import build_problem
 from mbd_ros.features.prediction.task import predict_task
+from mbd_ros.optimal_control.ipopt import solve
 from mbd_ros.optimal_control.motion_program import MotionProgram
+from mbd_ros.optimal_control.sparse_program import Block, Form, SparseProgram
 
 STEP = 1.0e-4  # of unknowns in their usual sizes
 
@@ -64,6 +66,21 @@ def test_derivatives_are_exact(name):
     upper = hess(x, [], 1.0, lam)
     whole = (upper + ca.triu(upper, False).T).full()
     _compare(whole @ d, slope(pull, x, d))
+
+
+@pytest.mark.parametrize("of_row", [False, True])
+def test_bounds_that_nearly_meet_are_kept_from_a_near_guess(of_row):
+    """IPOPT would end in a segmentation fault: it divides by slacks that are 0."""
+    x, width = ca.SX.sym("x", 3), 1.0e-18
+    rows = Form(x, ca.SX(0, 1), x[0] if of_row else ca.sum1(x), ca.sumsqr(x - 1.0))
+    block = Block("sum", rows, np.arange(3), None, 0.0, width if of_row else 0.0)
+    program = SparseProgram([block], np.ones(3), np.full(3, np.nan))
+    lower, upper = np.full(3, -np.inf), np.full(3, np.inf)
+    if not of_row:
+        lower[0], upper[0] = 0.0, width
+    solved = solve(program, np.zeros(3), lower, upper, is_near=True)
+    assert solved.is_good
+    assert -1.0e-9 < solved.x[0] < 1.0e-9
 
 
 def _compare(found, wanted):
