@@ -7,7 +7,7 @@ import re
 
 import numpy as np
 import pytest
-from fuzz import tables, urdf
+from fuzz import documents, tables, urdf
 from fuzz.kinds import KINDS, RANDOM, SCENE, case_of, read_by, readers, seeds_of
 from fuzz.run import FEWEST
 from fuzz.seeds import cube
@@ -63,6 +63,15 @@ def test_each_reader_has_a_seed():
     """But for those that start nodes, or take minutes, behind a reader of another kind."""
     reached = {reader for kind in KINDS for seed in seeds_of(kind) for reader in read_by(seed)}
     assert readers() - reached == {"replay bag", "report readme"}
+
+
+def test_a_mutated_tree_depends_on_its_seed_alone():
+    def every(seeds):
+        return {
+            i: documents.tree(random.Random(i), b'{"count": [1, {"a": 2}]}', False) for i in seeds
+        }
+
+    assert every(range(400)) == every(reversed(range(400)))
 
 
 def hostile(kind, index=0, **files):
@@ -246,6 +255,9 @@ FOUND = {  # made when they are asked for, from the seeds of a kind
     ),
     "a load of 1e16 beside a payload": lambda: with_number("payload", 1, "w.csv", 1, "1e16"),
     "a load of 9e8 beside a payload": lambda: with_number("payload", 1, "w.csv", 1, "9e8"),
+    "a payload beside a joint that rests but once": lambda: hostile(
+        "payload", 0, m_csv=with_cell("payload", 0, "m.csv", 21, 2, "1e6")
+    ),
     "a load of 1e19 in an estimate": lambda: with_number("estimate", 2, "w.csv", 8, "1e19"),
     "a marker that no scene has": lambda: hostile(
         "scale", t_yaml=b"scale: {name: a, segments: {l1: {pairs: [[A, Z]]}}}"
@@ -258,6 +270,13 @@ FOUND = {  # made when they are asked for, from the seeds of a kind
     "a tension of 1e200": lambda: with_number("loads", 3, "f.csv", 2, "1e200"),
     "a load of 1e308": lambda: with_number("simulate", 1, "w.csv", 2, "1e308"),
     "loads that begin late": lambda: with_number("muscles", 4, "w.csv", 1, "0"),
+    "a mesh of flat elements": lambda: hostile(
+        "loads",
+        2,
+        m_inp=re.sub(
+            rb"(?m)^(\d+, \S+, )\S+, ", rb"\g<1>0.0, ", seeds_of("loads")[2].files["m.inp"]
+        ),
+    ),
     "a plot of a column that is not there": lambda: hostile("plot", m_csv=b"time\n0\n1\n"),
 }
 

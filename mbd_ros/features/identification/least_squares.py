@@ -349,6 +349,11 @@ class CovarianceSum:
         """Return the covariance of base parameters and friction, shape (r + f, r + f)."""
         r, n = self._r, sum(map(len, self._selection))
         A, S, start = np.zeros((r + n, r + n)), np.zeros((r + n, r + n)), r
+        if not (np.square(np.square(fit.deviation)) > 0.0).all():
+            raise SolveError(
+                "a joint has no deviation: its torques are all 0, or it always rests beside its "
+                "largest velocity; leave this joint out, or mend its columns"
+            )
         for columns, sigma, product, sums in zip(
             self._selection, fit.deviation, self._products, self._sums, strict=True
         ):

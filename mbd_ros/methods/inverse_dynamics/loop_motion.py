@@ -116,7 +116,7 @@ class LoopMotion:
             q[self._q[is_measured]] = start + (end - start) * (i / strides)
             q = self._close(x.t, q, free)
         J = self._bilateral.jacobian(x.t, q)
-        condition = float(np.linalg.cond(J[:, free])) if len(free) else 1.0
+        condition = float(np.linalg.cond(J[:, free])) if J[:, free].size else 1.0
         v, a = np.where(measured, x.v, 0.0), np.where(measured, a, 0.0)
         v[free] = -_least_squares(J[:, free], J.dot(v) + self._bilateral.rate(x.t, q))
         x = State(x.t, q, v)

@@ -132,6 +132,16 @@ def test_samples_that_lack_a_joint_now_and_then_are_left_out(leg):
         close_loops(scene, leg, Recording(motion, Counter()))
 
 
+def test_joint_that_lacks_in_a_scene_without_loops_is_named():
+    scene = load_scene(SCENES / "cart_pole.yaml")
+    names = scene.couplings.independent
+    position = np.zeros((3, 2))
+    position[:, 1] = np.nan
+    motion = Motion(names, np.arange(3) * 1000, position, velocity=np.zeros((3, 2)))
+    with pytest.raises(DataError, match=f"no position of {names[1]}, and no loop gives it"):
+        close_loops(scene, "m.parquet", Recording(motion, Counter()))
+
+
 def test_fold_of_the_loop_is_reported(capsys, tmp_path, swing):
     """The tibial joint turns back while the others go on: it does not tell where they are."""
     every = driven(tmp_path, "hip_flexion", "knee_anterior", "ankle")
