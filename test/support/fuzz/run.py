@@ -20,7 +20,7 @@ from typing import Any
 from fuzz.kinds import KINDS, case_of
 from fuzz.trial import Outcome, tried
 
-MEMORY = 4 * 1024**3
+MEMORY = 4 * 1024**3  # that a case may ask for, beyond what a worker has reserved
 STUCK = 300.0  # s after which a case that never comes back to Python ends its worker
 CASES = 100  # of each kind
 FEWEST = 0.1  # share of the cases of a kind that have to pass their reader
@@ -40,15 +40,21 @@ def quick() -> None:
 
 
 def _work(name_list: list[str], results: Any) -> None:
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
     quick()
     for name in name_list:
         results.send((name, None))
+        _limit_memory()
         faulthandler.dump_traceback_later(STUCK, exit=True)
         outcome = tried(case_of(name))
         faulthandler.cancel_dump_traceback_later()
         results.send((name, outcome))
     results.close()
+
+
+def _limit_memory() -> None:
+    """Let memory grow by so much: libraries reserve gigabytes that they never touch."""
+    reserved = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (reserved + MEMORY, resource.RLIM_INFINITY))
 
 
 def fuzz(todo: list[str], workers: int) -> dict[str, Outcome]:
