@@ -270,6 +270,9 @@ FOUND = {  # made when they are asked for, from the seeds of a kind
     "a tension of 1e200": lambda: with_number("loads", 3, "f.csv", 2, "1e200"),
     "a load of 1e308": lambda: with_number("simulate", 1, "w.csv", 2, "1e308"),
     "loads that begin late": lambda: with_number("muscles", 4, "w.csv", 1, "0"),
+    "a guess of 1e155 in a file": lambda: hostile(
+        "predict", 1, g_csv=with_cell("predict", 1, "g.csv", 3, 1, "1e155")
+    ),
     "a mesh of flat elements": lambda: hostile(
         "loads",
         2,

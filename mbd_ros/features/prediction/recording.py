@@ -18,7 +18,7 @@ from mbd_ros.features.prediction.task import PredictTask, RecordingTask
 from mbd_ros.files.table import MAIN, TIME, read_result
 from mbd_ros.methods.signals.opensim_splines import opensim_splines
 from mbd_ros.motion.external_loads import read_loads, wrench_at
-from mbd_ros.motion.recordings import Capture, read_capture, read_columns, read_motion
+from mbd_ros.motion.recordings import Capture, read_capture, read_columns, read_motion, refuse_huge
 from mbd_ros.optimal_control.problem import Goal, PrescribedInputs, body_names
 from mbd_ros.parts.sensors.marker import Marker
 from mbd_ros.scene.built_scene import Scene
@@ -378,7 +378,7 @@ def guess_lines_from_file(quantities: Any, file: Path) -> dict[str, tuple[float,
     """Return a motion in a file as lines of a guess: quantity -> values at equally spaced times.
 
     Raises:
-        DataError: The file cannot be read, or has no quantity of the motion.
+        DataError: The file cannot be read, has no quantity of the motion, or has huge numbers.
     """
     table = read_result(file)[MAIN]
     places = np.linspace(table[TIME][0], table[TIME][-1], _SAMPLES)
@@ -389,4 +389,5 @@ def guess_lines_from_file(quantities: Any, file: Path) -> dict[str, tuple[float,
     }
     if not lines:
         raise DataError(f"{file}: no column of the motion, such as {quantities.names[0]}")
+    refuse_huge(str(file), tuple(lines), *(table[name] for name in lines))
     return lines
