@@ -13,6 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.rows.constraint_rows import independent
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, DivergedError, SceneError
@@ -424,8 +425,10 @@ def read_checkpoint(path: Path, sizes: Sequence[tuple[int, int]]) -> list[Checkp
                     f"{path}: {key}{i} has shape {array.shape} of {array.dtype}, accepted: "
                     f"{shape} of {'whole ' if 'i' in kinds else ''}numbers"
                 )
-        if not np.isfinite([*q.ravel(), *v.ravel(), dt]).all():
-            raise DataError(f"{path}: block {i + 1} holds numbers that are not finite")
+        if not (np.abs([*q.ravel(), *v.ravel(), dt]) <= LARGEST).all():
+            raise DataError(
+                f"{path}: block {i + 1} holds numbers that are not finite, or beyond {LARGEST:g}"
+            )
         if not (dt > 0.0 and 0 <= sweeps < _MOST_SWEEPS):
             raise DataError(f"{path}: sweeps{i} is {sweeps} and dt{i} is {dt}, accepted: above 0")
         blocks.append(Checkpoint(q.astype(float), v.astype(float), int(sweeps), float(dt)))

@@ -140,6 +140,7 @@ def test_bad_input_is_one_clear_error(words, expected, capsys):
         ({"q0": np.ones((9, 3))}, "9 coordinates of 3 chains, this run has 9 of 4"),
         ({"v1": np.ones((9, 4), complex)}, "v1 has shape (9, 4) of complex128"),
         ({"v0": np.full((9, 4), np.inf)}, "block 1 holds numbers that are not finite"),
+        ({"q0": np.full((9, 4), 1e308)}, "not finite, or beyond 1e+30"),
         ({"sweeps0": np.array([1, 2])}, "sweeps0 has shape (2,) of int64, accepted: () of whole"),
         ({"sweeps0": np.float64(3.0)}, "sweeps0 has shape () of float64, accepted: () of whole"),
         ({"sweeps1": np.int64(-1)}, "sweeps1 is -1 and dt1 is"),
