@@ -25,9 +25,10 @@ from mbd_ros.features.markers.kinematics_task import (
 from mbd_ros.features.markers.marker_cost import MarkerCost, Seen
 from mbd_ros.features.markers.marker_fit import Bools, Fit, LoopRows, MarkerFit
 from mbd_ros.features.markers.marker_trial import first_frame, fit_trial
+from mbd_ros.files.formats import is_bag
 from mbd_ros.files.table import TIME
 from mbd_ros.methods.projection.coupled_joints import independent_limits
-from mbd_ros.motion.recordings import Capture, Source, name_of, read_columns
+from mbd_ros.motion.recordings import Capture, read_columns
 from mbd_ros.parts.sensors.marker import Marker
 from mbd_ros.scene.built_scene import Scene
 from mbd_ros.scene.schema.nearest import nearest
@@ -220,15 +221,17 @@ def _tasks(scene: Scene, task: KinematicsTask) -> Mapping[str, CoordinateTask]:
     return {n: one for n, one in task.coordinates.items() if n not in scene.robot.locked}
 
 
-def _recorded(motion: Source, name: str, times: Array) -> Array:
+def _recorded(motion: Path, name: str, times: Array) -> Array:
+    if is_bag(motion):
+        raise DataError(f"{motion}: a coordinate task follows a column of a table, not a bag")
     column = f"{name}.position"
     columns = read_columns(motion, [TIME, column])
     if columns is None or np.isnan(columns[:, 1]).any():
-        raise DataError(f"{name_of(motion)}: no column {column}, which a coordinate task follows")
+        raise DataError(f"{motion}: no column {column}, which a coordinate task follows")
     known = columns[:, 0]
     if times[0] < known[0] - _SAME or times[-1] > known[-1] + _SAME:
         raise DataError(
-            f"{name_of(motion)}: has times {known[0]:g} .. {known[-1]:g} s, the markers "
+            f"{motion}: has times {known[0]:g} .. {known[-1]:g} s, the markers "
             f"{times[0]:g} .. {times[-1]:g} s"
         )
     return np.array(np.interp(times, known, columns[:, 1]))

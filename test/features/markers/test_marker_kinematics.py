@@ -247,6 +247,9 @@ def test_coordinates_that_a_recorded_motion_gives(leg, swing, tmp_path):
     )
     found = leg.kinematics(swing, task=task, limits=False)["samples"]["ankle.position"]
     np.testing.assert_allclose(found, swing["samples"]["ankle.position"], atol=1e-9)
+    task.write_text(task.read_text().replace("motion.npz", "../motion"))
+    with pytest.raises(DataError, match="follows a column of a table, not a bag"):
+        leg.kinematics(swing, task=task)
 
 
 @pytest.mark.parametrize(

@@ -181,7 +181,9 @@ def _of_streams(
     if (
         ended.code == 2
         and not is_behind
-        and not (folder in ended.told or "--" in ended.told or "-t:" in ended.told)
+        and not (
+            str(Path(folder).parent) in ended.told or "--" in ended.told or "-t:" in ended.told
+        )
     ):
         found.append(f"names no file: {ended.told[:200]!r}")
     longest = max(map(len, lines), default=0)
