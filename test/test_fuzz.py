@@ -273,6 +273,11 @@ FOUND = {  # made when they are asked for, from the seeds of a kind
     "a guess of 1e155 in a file": lambda: hostile(
         "predict", 1, g_csv=with_cell("predict", 1, "g.csv", 3, 1, "1e155")
     ),
+    "a mesh with a node at 1e155 m": lambda: hostile(
+        "loads",
+        2,
+        m_inp=re.sub(rb"(?m)^(28, .+, )\S+$", rb"\g<1>1e155", seeds_of("loads")[2].files["m.inp"]),
+    ),
     "a mesh of flat elements": lambda: hostile(
         "loads",
         2,

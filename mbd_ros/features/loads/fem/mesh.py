@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mbd_ros.core.model.points import rotation_matrix
+from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array
 from mbd_ros.errors import DataError, install_hint
 from mbd_ros.regular_file import check_regular
@@ -116,6 +117,8 @@ def read_mesh(path: Path, per_metre: float, pose: Sequence[float] = ()) -> Mesh:
         raise DataError(f"--mesh {path}: has {found}; accepted solids: {', '.join(KINDS)}")
     if points.shape[1:] != (3,) or not np.isfinite(points).all():
         raise DataError(f"--mesh {path}: its nodes are not three finite numbers each")
+    if not (np.abs(points) <= LARGEST).all():
+        raise DataError(f"--mesh {path}: has nodes beyond {LARGEST:g} m")
     for kind, cells in solid:
         _check_nodes(path, f"its {kind}", cells, len(points))
     for kind, cells in blocks:
