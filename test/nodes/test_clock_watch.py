@@ -19,7 +19,7 @@ TUNED = {
     "effort_limit": [LARGEST] * 4,
 }
 LONE = {**PATIENT, "effort_limit": [50.0] * 4}
-SLOW_AND_REAL = [("sliding", 0.25), pytest.param("qp", 1.0, marks=pytest.mark.soak)]
+SLOW_AND_REAL = [("sliding", 0.1), pytest.param("qp", 1.0, marks=pytest.mark.soak)]
 SAFE = "share of the safe command"
 
 

@@ -18,7 +18,6 @@ from msg_adapters.time import write_clock
 AT_ONCE = {"safe_ramp": 0.0}
 TRUSTED = {**AT_ONCE, "allow_code": True}
 NAN = float("nan")
-IDLE = 0.3  # of `NodeProcess.activity`, where a node that never waits has 1
 each = pytest.mark.parametrize("kind", KINDS)
 
 
@@ -159,7 +158,7 @@ def test_a_paused_simulation_leaves_the_watchdog_quiet_and_a_dead_one_does_not(
             command = client.ask(stamp=k * STEP)
         np.testing.assert_allclose(command, client.holding(), rtol=1e-9)
         first = len(client.commands)
-        assert client.node.activity() < IDLE
+        assert client.node.is_idle()
         clock.set(19 * STEP + timeout - 1_000_000)
         assert client.wait_health(lambda h: True).level != STALE
         assert len(client.commands) == first

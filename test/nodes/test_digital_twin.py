@@ -64,11 +64,12 @@ class Press:
             message = write_joint_state(
                 JointState(), stamp, JOINTS, position=position, effort=effort
             )
-            self.publisher.publish(message)
-            self.probe.spin_until(
+            self.probe.publish_until(
+                self.publisher,
+                message,
                 lambda s=stamp: (
                     self.found and self.states and read_time(self.states[-1].header.stamp) >= s
-                )
+                ),
             )
         return self.states[-1]
 

@@ -1,5 +1,6 @@
 """The test's side of a conversation over DDS."""
 
+import math
 import time
 from collections.abc import Callable
 from typing import Any
@@ -17,6 +18,7 @@ from rclpy.parameter import Parameter
 
 from msg_adapters.diagnostics import Health, read_diagnostics
 
+RESEND = 10.0  # s
 _AGAIN = 1.0  # s
 _TOPICS = 10  # of a test at most, with messages that wait to be taken
 
@@ -53,6 +55,23 @@ class Probe:
             assert time.monotonic() < end, self._expired(timeout)
             self._executor.spin_once(timeout_sec=0.02)
         return value
+
+    def publish_until(self, publisher: Any, message: Any, done: Callable[[], Any]) -> Any:
+        """Publish a message, and return the first true value of `done()`.
+
+        A reader with best effort may lose the message on a busy machine, so that it is published
+        again after `RESEND` seconds.
+        """
+        sent = -math.inf
+
+        def is_done() -> Any:
+            nonlocal sent
+            if time.monotonic() > sent + RESEND:
+                publisher.publish(message)
+                sent = time.monotonic()
+            return done()
+
+        return self.spin_until(is_done)
 
     def spin_for(self, seconds: float) -> None:
         """Take messages for `seconds` [s]."""
