@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mbd_ros.core.ranges import LARGEST
 from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import SINGULAR
 from mbd_ros.errors import ModelError
@@ -36,7 +37,7 @@ class TrackingPlan:
         level: Cost to go within which motions return to the plan; 0 where nobody has looked.
 
     Raises:
-        ModelError: Shapes that do not belong together, or what is not finite.
+        ModelError: Shapes that do not belong together, or numbers that are not finite or huge.
     """
 
     def __init__(
@@ -99,10 +100,11 @@ class TrackingPlan:
             values = getattr(self, name)
             if values.shape != shape:
                 raise ModelError(f"plan: {name} has shape {values.shape}, accepted: {shape}")
-            if not np.isfinite(values).all():
-                raise ModelError(f"plan: {name} is not finite")
-        if n < 2 or not (np.diff(self.times) > 0.0).all():
-            raise ModelError("plan: times must be two or more, increasing")
+            if not (np.abs(values) <= LARGEST).all():
+                raise ModelError(f"plan: {name} is not finite, or beyond a size of {LARGEST:g}")
+        is_rising = (np.diff(self.times) > 0.0).all() and (np.abs(self.times) <= LARGEST).all()
+        if n < 2 or not is_rising:
+            raise ModelError("plan: times must be two or more, finite and increasing")
         lowest = np.linalg.eigvalsh(self.cost)[:, 0]
         if (lowest < -_UPRIGHT * np.abs(self.cost).max()).any():
             raise ModelError("plan: cost must be positive")

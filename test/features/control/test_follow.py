@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_are
+from standing_plan import standing
 
 from mbd_ros import load_scene
 from mbd_ros.cli import main
@@ -16,7 +17,7 @@ from mbd_ros.features.control.regulator import read_reference, riccati_backwards
 from mbd_ros.files.plan import read_plan
 from mbd_ros.files.table import MAIN, Column, Result, Table
 from mbd_ros.methods.control.contract import EffortBox, Reference
-from mbd_ros.methods.control.tracking_plan import IndependentSlopes
+from mbd_ros.methods.control.tracking_plan import IndependentSlopes, TrackingPlan
 from mbd_ros.parts.controllers.trajectory_tracking import TrajectoryTracking
 
 
@@ -166,6 +167,21 @@ def test_a_plan_survives_its_file_and_refuses_other_joints(tmp_path):
         TrajectoryTracking(load_scene("cart_pole").controlled_joints())
     with pytest.raises(DataError, match="holds no plan"):
         read_plan(swing_up())
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"times": np.array([0.0, np.inf])}, "times must be two or more, finite"),
+        ({"gain": np.full((2, 1, 2), 1e300)}, "gain is not finite, or beyond a size of 1e.30"),
+        ({"cost": np.full((2, 2, 2), np.nan)}, "cost is not finite"),
+    ],
+)
+def test_plans_of_numbers_that_lead_nowhere_are_refused(changes, message):
+    plan = standing(("slide",))
+    fields = {name: getattr(plan, name) for name in ("times", "q", "v", "u", "gain", "cost")}
+    with pytest.raises(ModelError, match=message):
+        TrackingPlan(plan.joints, plan.inputs, **fields | changes)
 
 
 def test_the_command_writes_a_plan_and_says_its_tube(tmp_path, capsys):
