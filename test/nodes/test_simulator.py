@@ -120,9 +120,11 @@ def test_as_fast_as_possible_pause_and_reset(domain, tmp_path):
         reached = "real-time factor reached"
         client.probe.wait_health(lambda h: float(h.values[reached]) > 1.2)
         client.pause(True)
-        first, ticked = client.settle(), len(clocks)
         health = client.probe.wait_health(lambda h: "paused" in h.message)
         assert health.values[reached] == "standing"
+        reported = round(1e9 * float(health.values["simulated time"]))
+        client.probe.spin_until(lambda: client.newest.stamp >= reported - MS)
+        first, ticked = len(client.states), len(clocks)
         assert client.node.is_idle()
         assert len(client.states) == first
         client.probe.spin_until(lambda: len(clocks) > ticked)
