@@ -262,9 +262,9 @@ def build_units(site: BuildingSite, entry: Any) -> Units:
         raise SceneError(f"{site.where}: got {entry!r}, accepted: {_ACCEPTED}")
     words = tuple(entry[key] for key in _KEYS)
     for units in (SI, MOLECULAR, REDUCED):
-        if words == units.words[:3]:
+        if words == units.symbols[:3]:
             return units
-    owners = {w: u.name for u in (SI, MOLECULAR) for w in u.words[:3]}
+    owners = {w: u.name for u in (SI, MOLECULAR) for w in u.symbols[:3]}
     unknown = [word for word in words if not isinstance(word, str) or word not in owners]
     if unknown:
         raise SceneError(f"{site.where}: unknown unit {unknown[0]!r}, accepted: {_ACCEPTED}")

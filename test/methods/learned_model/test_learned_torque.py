@@ -225,7 +225,7 @@ def product_of_gigabytes(data):
     ("change", "message"),
     [
         (damaged, "damaged"),
-        (lambda data: data[:3000], "damaged|no file of mbd-ros learn"),
+        (lambda data: data[:3000], "damaged|not a file of mbd-ros learn"),
         (lambda data: b"\x80\x04\x95cos\nsystem\n", "not a file of mbd-ros learn"),
         (lambda data: b"", "not a file of mbd-ros learn"),
         (versioned, "version 9 .* accepted: 1"),
