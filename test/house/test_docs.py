@@ -152,6 +152,14 @@ def test_the_index_lists_every_page():
     assert [page.name for page in PAGES[2:] if page.name not in {"index.md", *listed}] == []
 
 
+@pytest.mark.parametrize("page", PAGES[2:], ids=IDS[2:])
+def test_a_page_says_first_what_you_can_do_after_it(page):
+    if page.name == "index.md":
+        return
+    _, first, *_ = page.read_text(encoding="utf-8").split("\n\n")
+    assert re.search(r"\byou\b", first, re.IGNORECASE), first
+
+
 def test_the_first_screen_of_the_readme_runs(tmp_path, monkeypatch, capsys):
     """Three commands, and six lines of Python that find the forces which the scene left out."""
     monkeypatch.chdir(tmp_path)
