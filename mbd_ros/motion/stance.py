@@ -1,10 +1,10 @@
-"""Feet on the ground whose forces nobody measured: who stands, and how the load is shared.
+"""Unmeasured ground forces of walking: which feet stand, and how they share the load.
 
-Forces of these contacts are unknowns of inverse dynamics. Over a double support of length T the
-trailing foot keeps these shares of the force that it had:
+Forces of these contacts are unknowns of inverse dynamics. During a double support of duration T,
+the force of the trailing foot decays from its initial value by these factors (smooth transition):
 
-    along the way     k1 exp(-(2 (t - T / 3) / T)^2) - 2 k2 t / T
-    across and up     exp(-(2 t / T)^3),        k1 = e^(4/9), k2 = e^(-4/3) / 2
+    along the walking direction     k1 exp(-(2 (t - T / 3) / T)^2) - 2 k2 t / T
+    sideways and upwards            exp(-(2 t / T)^3),    k1 = e^(4/9), k2 = e^(-4/3) / 2
 
 Source: L. Ren, R. K. Jones, D. Howard, J. Biomechanics 41 (2008) 2750,
 doi:10.1016/j.jbiomech.2008.06.001, for the forces of walking persons.

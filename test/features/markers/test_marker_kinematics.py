@@ -123,11 +123,11 @@ def test_axes_that_are_none_are_refused(leg, swing, axes, match):
 
 def test_millimetres_are_asked_for_by_name(leg, swing):
     far = recorded(swing, scale=1e5)
-    with pytest.raises(DataError, match="looks like millimetres .6 markers.: say --unit mm"):
+    with pytest.raises(DataError, match="looks like millimetres .6 markers.; give --unit mm"):
         leg.kinematics(far)
     result = leg.kinematics(recorded(swing, scale=1e3), unit="mm", limits=False)
     assert_same_motion(result, swing)
-    with pytest.raises(DataError, match="are in m there, not in mm: leave the unit out"):
+    with pytest.raises(DataError, match="are in m according to the file, not in mm"):
         leg.kinematics(swing, unit="mm")
     with pytest.raises(DataError, match="unknown unit 'inch', accepted: m, mm, cm"):
         leg.kinematics(swing, unit="inch")

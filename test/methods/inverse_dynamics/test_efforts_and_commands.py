@@ -164,5 +164,5 @@ def test_a_velocity_that_no_command_can_follow_is_refused(tmp_path, capsys):
     out, fast = tmp_path / "out.csv", motion(tmp_path / "motion.csv", 0.1, 1.0e250)
     assert run("inverse", weak, fast, "-o", out) == 2
     told = capsys.readouterr().err
-    assert "motion.csv: hinge.velocity is " in told and "accepted are sizes up to 1e+30" in told
+    assert "motion.csv: hinge.velocity is " in told and "size must be at most 1e+30" in told
     assert not out.exists()
