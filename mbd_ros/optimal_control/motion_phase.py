@@ -50,7 +50,7 @@ class MotionPhase:
         closes_start: Whether rows are enforced at the beginning, where nothing else does so.
         limits: Additional bounds at all times, which `with_limits` adds to the rows.
         sensors: Sensors of the scene, whose names can be used.
-        given: Prescribed inputs.
+        prescribed: Prescribed inputs.
 
     Attributes:
         forms: Equations on meshes.
@@ -69,12 +69,12 @@ class MotionPhase:
         closes_start: bool = False,
         limits: Limits = (),
         sensors: Sequence[Sensor] = (),
-        given: PrescribedInputs = NO_PRESCRIBED_INPUTS,
+        prescribed: PrescribedInputs = NO_PRESCRIBED_INPUTS,
     ) -> None:
         self.problem = problem
         self.equations = equations
-        self.given = given
-        self.quantities = Quantities(equations, sensors, given.places.tolist())
+        self.prescribed = prescribed
+        self.quantities = Quantities(equations, sensors, prescribed.places.tolist())
         self.forms = PhaseForms(equations, parameters)
         self._parameters = parameters
         self._closes_start = closes_start
@@ -111,8 +111,8 @@ class MotionPhase:
         """
         system = self.equations.equations.system
         lower[unknowns.points["u"]], upper[unknowns.points["u"]] = input_bounds(system)
-        given = unknowns.points["u"][:, self.given.places]
-        lower[given] = upper[given] = self.given.at(unknowns.mesh.shares)
+        prescribed = unknowns.points["u"][:, self.prescribed.places]
+        lower[prescribed] = upper[prescribed] = self.prescribed.at(unknowns.mesh.shares)
         for places in (unknowns.points["z"], unknowns.nodes["z"]):
             lower[places], upper[places] = system.internals.lower, system.internals.upper
         for quantity, (low, high) in self._bounds:

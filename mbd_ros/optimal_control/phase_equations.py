@@ -169,19 +169,19 @@ class PhaseEquations:
         return ca.Function("pushes", self._arguments, ca.cse(results))
 
     def minimum_norm_inputs(
-        self, values: Mapping[str, Array], times: Array, p: Array, given: Array
+        self, values: Mapping[str, Array], times: Array, p: Array, prescribed: Array
     ) -> dict[str, Array]:
         """Return the minimum-norm inputs and multipliers of a motion: letters u, l.
 
         Args:
             values: Letters q, v, z, a, w, u, l -> values, shape (n, ..); u where prescribed.
             times: Times [s], shape (n,).
-            given: Indices of prescribed inputs.
+            prescribed: Indices of prescribed inputs.
         """
         n, sizes = len(times), self.sizes
         r, K = self._input_slopes.map(n)(*_columns(values, times, p))
         K = _full(K).T.reshape(n, sizes.nu + sizes.m, -1).transpose(0, 2, 1)[:, : sizes.nv]
-        K[:, :, given] = 0.0
+        K[:, :, prescribed] = 0.0
         step = -np.linalg.pinv(K) @ _full(r).T[:, : sizes.nv, None]
         u, lam = np.split(step[:, :, 0], [sizes.nu], axis=1)
         return {"u": values["u"] + u, "l": values["l"] + lam}

@@ -44,15 +44,18 @@ class Quantities:
     Args:
         phase: Equations of the phase.
         sensors: Sensors of the scene.
-        given: Indices of prescribed inputs, such as measured loads, which are not unknowns.
+        prescribed: Indices of prescribed inputs, such as measured loads, which are not unknowns.
     """
 
     def __init__(
-        self, phase: PhaseEquations, sensors: Sequence[Sensor] = (), given: Collection[int] = ()
+        self,
+        phase: PhaseEquations,
+        sensors: Sequence[Sensor] = (),
+        prescribed: Collection[int] = (),
     ) -> None:
         self._phase = phase
         self._named = dict[str, Quantity]()
-        self._given = frozenset(given)
+        self._prescribed = frozenset(prescribed)
         self._parts = PartQuantities(phase.equations, sensors)
         for quantity in (*self._joints(), *self._bodies(), *self._others()):
             self._named.setdefault(quantity.name, quantity)
@@ -103,7 +106,7 @@ class Quantities:
     def inputs(self) -> list[Quantity]:
         """Return all inputs that are unknowns, in the order of u."""
         inputs = [quantity for quantity in self._named.values() if quantity.letter == "u"]
-        return [quantity for quantity in inputs if quantity.index not in self._given]
+        return [quantity for quantity in inputs if quantity.index not in self._prescribed]
 
     def metabolic_rates(self, numbers: Metabolism) -> list[Quantity]:
         """Return the metabolic rates of all muscles, named like the muscles."""

@@ -56,11 +56,11 @@ class EstimateTask:
     limits: bool = True
 
 
-def build_task(site: Site, given: Any) -> EstimateTask:
+def build_task(site: Site, entry: Any) -> EstimateTask:
     """Build the `estimate` section of a task file.
 
     Raises:
         SceneError: An entry is wrong; the message names file, key and what is accepted.
     """
-    task: EstimateTask = schema.call(EstimateTask, given, site.where)
+    task: EstimateTask = schema.call(EstimateTask, entry, site.where)
     return task

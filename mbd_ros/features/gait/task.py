@@ -101,27 +101,27 @@ class GaitTask:
     source: str = ""
 
 
-def build_task(site: Site, given: Any) -> GaitTask:
+def build_task(site: Site, entries: Any) -> GaitTask:
     """Build the `gait` section of a task file.
 
     Raises:
         SceneError: An entry is wrong; the message names file, key and what is accepted.
     """
-    return gait_task(given, site.where, site.origin.name)
+    return gait_task(entries, site.where, site.origin.name)
 
 
-def gait_task(given: Any, where: str, source: str = "") -> GaitTask:
+def gait_task(entries: Any, where: str, source: str = "") -> GaitTask:
     """Build a task from the entries of its section.
 
     Args:
-        given: Entries by key, the keyword arguments of `_task`.
+        entries: Entries by key, the keyword arguments of `_task`.
         where: File and key, for messages.
         source: Task file; empty without one.
 
     Raises:
         SceneError: An entry is wrong; the message names the key and what is accepted.
     """
-    task: GaitTask = schema.call(_task, given, where, where, source)
+    task: GaitTask = schema.call(_task, entries, where, where, source)
     return task
 
 
@@ -198,9 +198,9 @@ def _basin(
     return BasinTask(_grids(grid, f"{where}.grid"), cycles, near)
 
 
-def _grids(given: Mapping[str, Any], where: str) -> tuple[Grid, ...]:
+def _grids(entries: Mapping[str, Any], where: str) -> tuple[Grid, ...]:
     grids, size = [], 1
-    for name, values in given.items():
+    for name, values in entries.items():
         numbers = schema.value(values, Sequence[float], f"{where}.{name}")
         if len(numbers) != 3 or numbers[2] != int(numbers[2]) or numbers[2] < 1:
             raise SceneError(

@@ -73,13 +73,13 @@ _FEWEST_SAMPLES = 20  # samples for an estimate of a feedback, at least
 
 
 def choose_motors(
-    problem: Problem, given: Motors | None, allowed: Sequence[str], search: DelaySearch, say: Say
+    problem: Problem, nominal: Motors | None, allowed: Sequence[str], search: DelaySearch, say: Say
 ) -> None:
     """Couple the rows of a problem to motors as the scene or the measured friction says.
 
     Args:
         problem: Problem whose rows are not coupled yet.
-        given: Motors of the scene; None if it does not tell.
+        nominal: Motors of the scene; None if it does not tell.
         allowed: Terms of friction that may be used.
         search: Range of the delay of efforts.
         say: Receives a line for each coupled motor.
@@ -94,8 +94,8 @@ def choose_motors(
     noise = [estimate_noise(e, problem.correlation) for e in errors]
     rows = [n.share * len(e) for n, e in zip(noise, errors, strict=True)]
     motor_search = _MotorSearch(problem, allowed, delay, np.array(rows))
-    if given is not None:
-        options = [given._replace(are_measured=of_motors) for of_motors in (False, True)]
+    if nominal is not None:
+        options = [nominal._replace(are_measured=of_motors) for of_motors in (False, True)]
         best = min(options, key=motor_search.cost)
     else:
         best = motor_search.best(first)
@@ -291,7 +291,7 @@ def _joint_equations(problem: Problem, allowed: Sequence[str]) -> list[tuple[Arr
 def _initial_k(part: tuple[Array, ...], problem: Problem) -> float:
     """Return the ratio of the effort to the torque of the given robot."""
     X, F, known, i = part
-    model = X @ problem.base.values(problem.given.ravel()) + known
+    model = X @ problem.base.values(problem.nominal.ravel()) + known
     x = solve_scaled(np.column_stack([model, F]), i)[0]
     return float(x[0]) or 1.0
 
@@ -337,7 +337,7 @@ def _solve_gains(
             rows.append(row)
         return np.concatenate(rows)
 
-    x0 = np.concatenate([problem.base.values(problem.given.ravel()), np.zeros(first[-1] - r)])
+    x0 = np.concatenate([problem.base.values(problem.nominal.ravel()), np.zeros(first[-1] - r)])
     size = 1.0 / np.maximum(np.linalg.norm(jacobian(x0), axis=0), 1e-12)
     reach = np.full(len(x0), np.inf)
     reach[r : r + m] = _GAIN_REACH

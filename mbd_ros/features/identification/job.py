@@ -207,7 +207,7 @@ def _fit_bodies(
     driven = problem.joints >= 0
     measured = [j for j, is_driven in zip(joints, driven, strict=True) if is_driven]
     names = [n for n, is_driven in zip(problem.labels, driven, strict=True) if is_driven]
-    check_units(problem.where, names, measured, problem.base.values(problem.given.ravel()), r)
+    check_units(problem.where, names, measured, problem.base.values(problem.nominal.ravel()), r)
     check_length(problem.where, joints, r + sum(map(len, fit.selection)), problem.seconds)
     rows = np.concatenate([j.R[:, :r] / d for j, d in zip(joints, fit.deviation, strict=True)])
     excitation = problem.where, problem.base, problem.texts, rows, task.partial
@@ -223,7 +223,7 @@ def _nearest_bodies(problem: Problem, regression: Regression) -> ConsistentBodie
     least = np.maximum(LEAST_DEVIATION * rms, 0.1 * LEAST_DEVIATION * rms.max())
     A, b, is_signed = weighted_rows(regression.joints, regression.fit, r, least)
     with about(problem.where):
-        return fit_consistent_bodies(A, b, problem.base.matrix, problem.given, is_signed)
+        return fit_consistent_bodies(A, b, problem.base.matrix, problem.nominal, is_signed)
 
 
 def joint_movement(problem: Problem) -> list[tuple[str, float, str]]:
@@ -301,14 +301,14 @@ def _pictures(result: Identified) -> Iterator[str]:
     from matplotlib.figure import Figure
 
     names = result.tables["validation"]["joint"].tolist()
-    times, measured, identified, given = result.residuals
+    times, measured, identified, nominal = result.residuals
     every = slice(None, None, max(1, len(times) // _POINTS))
     t = times[every] - times[0]
     picture = Figure(figsize=(10.0, 2.0 * len(names) + 0.6), layout="constrained")
     FigureCanvasAgg(picture)
     grid: Any = picture.subplots(len(names), 2, sharex=True, squeeze=False)
     for k, name in enumerate(names):
-        _curves(grid[k], name, t, [v[every, k] for v in (measured, identified, given)])
+        _curves(grid[k], name, t, [v[every, k] for v in (measured, identified, nominal)])
     grid[0, 0].legend(fontsize=7, loc="upper right")
     image = BytesIO()
     picture.savefig(image, format="png", dpi=100)
@@ -318,11 +318,11 @@ def _pictures(result: Identified) -> Iterator[str]:
 
 def _curves(panels: Any, name: str, t: Array, values: list[Array]) -> None:
     """Plot the torques of a joint and their residuals with a band of 95 %."""
-    measured, identified, given = values
-    for curve, label in ((measured, "measured"), (identified, "identified"), (given, "given")):
+    measured, identified, nominal = values
+    for curve, label in ((measured, "measured"), (identified, "identified"), (nominal, "given")):
         panels[0].plot(t, curve, lw=0.8, label=label)
     panels[0].set_ylabel(f"{name} [N·m or N]", fontsize=7)
-    panels[1].plot(t, given - measured, lw=0.5, color="C2")
+    panels[1].plot(t, nominal - measured, lw=0.5, color="C2")
     panels[1].plot(t, identified - measured, lw=0.5, color="C1")
     band = 1.96 * float(np.std(identified - measured))
     panels[1].axhspan(-band, band, alpha=0.15)

@@ -127,12 +127,12 @@ def _base_table(problem: Problem, regression: Regression, bodies: ConsistentBodi
     r, base = len(regression.fit.base), problem.base
     names = [body.name for body in problem.bodies]
     sigma = np.sqrt(np.maximum(np.diag(regression.covariance)[:r], 0.0))
-    is_shown = sigma < _SHOWN_FACTOR * prior_deviation(base.matrix, problem.given)
+    is_shown = sigma < _SHOWN_FACTOR * prior_deviation(base.matrix, problem.nominal)
     return Table(
         [
             TableColumn("name", np.array([parameter_name(int(i), names) for i in base.chosen])),
             TableColumn("expression", np.array(problem.texts)),
-            TableColumn("given", base.values(problem.given.ravel())),
+            TableColumn("given", base.values(problem.nominal.ravel())),
             TableColumn("estimate", regression.fit.base),
             TableColumn("deviation", sigma),
             TableColumn("is_shown", is_shown.astype(np.float64)),
@@ -144,12 +144,12 @@ def _base_table(problem: Problem, regression: Regression, bodies: ConsistentBodi
 def _bodies_table(problem: Problem, bodies: ConsistentBodies) -> Table:
     """Return a table with one body per row, about mass centres and in the axes of joints."""
     inertias = [pin.Inertia.FromDynamicParameters(p) for p in bodies.inertial]
-    given = [problem.scene.robot.model.inertias[body.joint] for body in problem.bodies]
+    nominal = [problem.scene.robot.model.inertias[body.joint] for body in problem.bodies]
     columns = [
         TableColumn("body", np.array([body.name for body in problem.bodies])),
         TableColumn("links", np.array([" ".join(body.links) for body in problem.bodies])),
         TableColumn("mass", np.array([inertia.mass for inertia in inertias]), "kg"),
-        TableColumn("mass_given", np.array([inertia.mass for inertia in given]), "kg"),
+        TableColumn("mass_given", np.array([inertia.mass for inertia in nominal]), "kg"),
     ]
     for k, axis in enumerate("xyz"):
         levers = np.array([inertia.lever[k] for inertia in inertias])
@@ -216,7 +216,7 @@ def _summary(
     ]
     if (problem.joints < 0).any():
         mass = sum(float(numbers[0]) for numbers in bodies.inertial)
-        lines.append(f"total mass {mass:.6g} kg, given {problem.given[:, 0].sum():.6g} kg")
+        lines.append(f"total mass {mass:.6g} kg, given {problem.nominal[:, 0].sum():.6g} kg")
     if errors:
         shares = {key: 100.0 * value for key, value in errors.items()}
         lines.append(

@@ -41,7 +41,7 @@ _UPPER = [(i, j) for j in range(_SIDE) for i in range(j + 1)]
 
 
 def fit_consistent_bodies(
-    A: Array, b: Array, T: Array, given: Array, is_signed: NDArray[np.bool_]
+    A: Array, b: Array, T: Array, nominal: Array, is_signed: NDArray[np.bool_]
 ) -> ConsistentBodies:
     """Solve the optimization problem in the docstring of this module.
 
@@ -49,15 +49,15 @@ def fit_consistent_bodies(
         A: Weighted rows, base parameters first, then friction; shape (k, r + f).
         b: Weighted torques, shape (k,).
         T: Matrix from inertial to base parameters, shape (r, p).
-        given: Inertial parameters of the description, shape (bodies, 10).
+        nominal: Inertial parameters of the description, shape (bodies, 10).
         is_signed: Friction that must not be negative, shape (f,).
 
     Raises:
         DataError: The solver is not installed.
         SolveError: The solver finds no optimum.
     """
-    r, bodies = len(T), len(given)
-    maps = _maps(given)
+    r, bodies = len(T), len(nominal)
+    maps = _maps(nominal)
     to_p = np.zeros((COUNT * bodies, COUNT * bodies))
     for i, M in enumerate(maps):
         to_p[COUNT * i : COUNT * (i + 1), COUNT * i : COUNT * (i + 1)] = M
@@ -91,9 +91,9 @@ class ConsistentBodies(NamedTuple):
     deviation: Array
 
 
-def _maps(given: Array) -> list[Array]:
+def _maps(nominal: Array) -> list[Array]:
     """Return for each body the matrix from svec(Z) to inertial parameters, shape (10, 10)."""
-    pseudo_inertias = np.array([pseudo_inertia(numbers) for numbers in given])
+    pseudo_inertias = np.array([pseudo_inertia(numbers) for numbers in nominal])
     heavy = [P for P in pseudo_inertias if np.linalg.eigvalsh(P)[0] > 0.0]
     mean = _diagonal(np.mean(heavy, axis=0)) if heavy else np.diag([0.01, 0.01, 0.01, 1.0])
     light = _LIGHT if heavy else 1.0  # nothing is known of a description without any mass
@@ -237,12 +237,12 @@ def _project_into_cone(z: Array) -> Array:
     return _svec(vectors @ np.diag(np.maximum(values, _LEAST_BODY)) @ vectors.T)
 
 
-def prior_deviation(T: Array, given: Array) -> Array:
+def prior_deviation(T: Array, nominal: Array) -> Array:
     """Return the prior standard deviation of base parameters, shape (r,).
 
     Before any data, each body may deviate by the whole of itself.
     """
-    parts = [T[:, COUNT * i : COUNT * (i + 1)] @ M for i, M in enumerate(_maps(given))]
+    parts = [T[:, COUNT * i : COUNT * (i + 1)] @ M for i, M in enumerate(_maps(nominal))]
     deviation: Array = np.sqrt(np.sum([np.square(part).sum(axis=1) for part in parts], axis=0))
     return deviation
 
@@ -261,13 +261,13 @@ def inertias_of_links(
     Returns:
         Link -> `pinocchio.Inertia` in the axes of the link, and remarks for people.
     """
-    given, inertias, remarks = robot.inertias(), dict[str, Any](), list[str]()
+    nominal, inertias, remarks = robot.inertias(), dict[str, Any](), list[str]()
     for body, numbers in zip(bodies, inertial, strict=True):
         places = {name: _placement(robot, name) for name in body.links}
-        others = [n for n in body.links[1:] if n in given and given[n].mass > 0.0]
+        others = [n for n in body.links[1:] if n in nominal and nominal[n].mass > 0.0]
         remainder = numbers.copy()
         for name in others:
-            remainder = remainder - places[name].act(given[name]).toDynamicParameters()
+            remainder = remainder - places[name].act(nominal[name]).toDynamicParameters()
         if others and not is_consistent(remainder):
             remainder = numbers
             inertias |= {name: pin.Inertia.Zero() for name in others}
@@ -283,21 +283,21 @@ def _placement(robot: Robot, link: str) -> pin.SE3:
     return robot.model.frames[robot.frame(link)].placement
 
 
-def known_parameters(bodies: Sequence[Body], given: Array, known: Sequence[str]) -> Array:
+def known_parameters(bodies: Sequence[Body], nominal: Array, known: Sequence[str]) -> Array:
     """Return the inertial parameters of known bodies, 0 for all others, shape (10 bodies,).
 
     Args:
-        given: Inertial parameters of the description, shape (bodies, 10).
+        nominal: Inertial parameters of the description, shape (bodies, 10).
         known: Links whose bodies have the right parameters in the description.
 
     Raises:
         DataError: A link does not exist or does not move.
     """
-    parameters, links = np.zeros_like(given), [set(body.links) for body in bodies]
+    parameters, links = np.zeros_like(nominal), [set(body.links) for body in bodies]
     for name in known:
         indices = [i for i, names in enumerate(links) if name in names]
         if not indices:
             names = ", ".join(body.name for body in bodies)
             raise DataError(f"--known {name}: no link that moves; accepted are {names}")
-        parameters[indices[0]] = given[indices[0]]
+        parameters[indices[0]] = nominal[indices[0]]
     return parameters.ravel()

@@ -73,7 +73,7 @@ class Problem:
         test: Parts of the recordings that are held out for the test.
         band: End of the band [Hz]; None if samples are not filtered.
         bodies: Bodies that move.
-        given: Their inertial parameters in the description, shape (bodies, 10).
+        nominal: Their inertial parameters in the description, shape (bodies, 10).
         base: Base parameters that motions can show.
         texts: Readable format_expressions of the base parameters.
         labels: Names of the rows.
@@ -103,13 +103,13 @@ class Problem:
         self.seconds = float(sum(recorded.times[-1] for recorded in self.training))
         self.regressor = regressor_of(scene, self.training)
         self.bodies = moving_bodies(scene.robot)
-        self.given = parameters_of(scene.robot.model)
+        self.nominal = parameters_of(scene.robot.model)
         self._choose_rows(say)
-        self._known_parameters = known_parameters(self.bodies, self.given, task.known)
-        rows = self.regressor.rows(*self._states())[:, self.rows].reshape(-1, self.given.size)
-        rows[:, np.repeat(self._known_parameters.reshape(self.given.shape).any(axis=1), COUNT)] = (
-            0.0
-        )
+        self._known_parameters = known_parameters(self.bodies, self.nominal, task.known)
+        rows = self.regressor.rows(*self._states())[:, self.rows].reshape(-1, self.nominal.size)
+        rows[
+            :, np.repeat(self._known_parameters.reshape(self.nominal.shape).any(axis=1), COUNT)
+        ] = 0.0
         self.base = base_parameters(rows)
         self.texts = format_expressions(self.base, [body.name for body in self.bodies])
         self._filter()
@@ -167,13 +167,13 @@ class Problem:
         Args:
             body: Index of the carrying body in `bodies`.
         """
-        rows = self.regressor.rows(*self._states())[:, self.rows].reshape(-1, self.given.size)
-        others = np.delete(np.arange(self.given.size), COUNT * body + np.arange(COUNT))
+        rows = self.regressor.rows(*self._states())[:, self.rows].reshape(-1, self.nominal.size)
+        others = np.delete(np.arange(self.nominal.size), COUNT * body + np.arange(COUNT))
         rows[:, others] = 0.0
         self.base = base_parameters(rows)
         self.texts = format_expressions(self.base, [moving.name for moving in self.bodies])
         self.maker.base = self.base
-        self.maker.known_parameters = self.given.ravel()
+        self.maker.known_parameters = self.nominal.ravel()
         self._cached_blocks = {}
 
     def set_load_model(self, inertial: Array) -> None:

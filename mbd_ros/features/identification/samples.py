@@ -333,13 +333,13 @@ def grid_step(rate: float, band: float) -> int:
 
 
 def check_units(
-    where: str, labels: Sequence[str], joints: Sequence[Joint], given: Array, r: int
+    where: str, labels: Sequence[str], joints: Sequence[Joint], nominal: Array, r: int
 ) -> None:
     """Refuse efforts that are proportional to the torques of the given robot, but not equal.
 
     Args:
         labels: Names of the joints.
-        given: Base parameters of the description.
+        nominal: Base parameters of the description.
         r: Number of base parameters.
 
     Raises:
@@ -347,7 +347,7 @@ def check_units(
     """
     slopes = {}
     for label, joint in zip(labels, joints, strict=True):
-        model, y = joint.R[:, :r] @ given, joint.R[:, -1]
+        model, y = joint.R[:, :r] @ nominal, joint.R[:, -1]
         plain = [i for i, c in enumerate(joint.columns) if c.term in ("viscous", "offset")]
         dry = [i for i, c in enumerate(joint.columns) if c.term == "coulomb"][2:3]
         others = joint.R[:, [r + i for i in plain + dry]]

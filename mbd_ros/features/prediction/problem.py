@@ -223,7 +223,7 @@ def _phases(
             "closes_start": is_open,
             "sensors": scene.sensors,
             "limits": contact_limits(equations, mode.demands, equations.symbols["l"], task.grip),
-            "given": prescribed_inputs(driven_scene, phase.bounds, recording, begin, middle),
+            "prescribed": prescribed_inputs(driven_scene, phase.bounds, recording, begin, middle),
         }
         phases.append(MotionPhase(problem, equations, numbers, **more))
         begin += middle
@@ -231,7 +231,7 @@ def _phases(
 
 
 def _initial_state_ranges(
-    scene: Scene, system: System, first: State, given: Mapping[str, Range]
+    scene: Scene, system: System, first: State, named_ranges: Mapping[str, Range]
 ) -> dict[str, Range]:
     """Return the initial state of the scene as ranges, except for what a task names."""
     names = integrated_names(scene, len(first.v))
@@ -247,7 +247,7 @@ def _initial_state_ranges(
     return {
         name: (float(value), float(value))
         for name, value in pairs
-        if not any(fnmatchcase(name, key) for key in given)
+        if not any(fnmatchcase(name, key) for key in named_ranges)
     }
 
 
@@ -269,7 +269,7 @@ def _problem_of_phase(
     return PhaseProblem(phase.phase, phase.duration, bounds, start, end, phase.goals, mesh)
 
 
-def _default_bounds(scene: Scene, given: Mapping[str, Range]) -> dict[str, Range]:
+def _default_bounds(scene: Scene, named_ranges: Mapping[str, Range]) -> dict[str, Range]:
     """Return the limits of joints, inputs and internal states that a task does not replace."""
     limits = dict[str, Range]()
     joints = {joint.name: joint for joint in scene.robot.joints}
@@ -288,7 +288,7 @@ def _default_bounds(scene: Scene, given: Mapping[str, Range]) -> dict[str, Range
     return {
         name: bounds
         for name, bounds in limits.items()
-        if np.isfinite(bounds).any() and not any(fnmatchcase(name, key) for key in given)
+        if np.isfinite(bounds).any() and not any(fnmatchcase(name, key) for key in named_ranges)
     }
 
 
@@ -312,13 +312,15 @@ def _intervals(task: PredictTask, duration: Range) -> int:
     return count
 
 
-def with_unit_quaternions(given: Mapping[str, Range], bodies: Sequence[str]) -> dict[str, Range]:
+def with_unit_quaternions(
+    named_ranges: Mapping[str, Range], bodies: Sequence[str]
+) -> dict[str, Range]:
     """Return ranges at an end, with quaternions of norm 1 where all four numbers are given.
 
     Raises:
         ModelError: Four numbers are no orientation.
     """
-    normalized = dict(given)
+    normalized = dict(named_ranges)
     for body in bodies:
         names = [f"{body}.orientation.{axis}" for axis in "xyzw"]
         ranges = [normalized.get(name, (-math.inf, math.inf)) for name in names]
@@ -482,11 +484,13 @@ def write_recording(
                 arrays[key][:] = values
     if motion.bases:
         points["d"][:] = tangent_steps(mesh, nodes["q"], points["q"], motion.bases)
-    given = phase.given
-    points["u"][:, given.places] = given.at(mesh.shares)
+    prescribed = phase.prescribed
+    points["u"][:, prescribed.places] = prescribed.at(mesh.shares)
     p = np.zeros(phase.equations.symbols["p"].numel())
     times = motion.begin + motion.duration * mesh.shares
-    for key, values in phase.equations.minimum_norm_inputs(points, times, p, given.places).items():
+    for key, values in phase.equations.minimum_norm_inputs(
+        points, times, p, prescribed.places
+    ).items():
         points[key][:] = values
 
 

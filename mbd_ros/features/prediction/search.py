@@ -231,16 +231,16 @@ def choose_workers(
     Raises:
         DataError: Workers are requested, but the scene is no file or calls functions.
     """
-    given = task
+    section = task
     if isinstance(task, str | Path):  # a name is a task that comes with the package
-        given = str(Path(task).absolute()) if Path(task).exists() else str(task)
+        section = str(Path(task).absolute()) if Path(task).exists() else str(task)
     can_travel = scene.path is not None and not scene.code
     try:
-        json.dumps(given)
+        json.dumps(section)
     except TypeError:
         can_travel = False
     if can_travel:
-        return StartWorkers(workers, scheduler, {"scene": str(scene.path), "task": given})
+        return StartWorkers(workers, scheduler, {"scene": str(scene.path), "task": section})
     if scheduler is not None or (workers or 1) > 1:
         raise DataError(
             f"{scene.name}: starts on workers need a scene from a file, without functions; use "

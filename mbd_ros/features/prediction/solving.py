@@ -359,14 +359,14 @@ def _attempts(
     if most <= some or problem.recording is not None:
         yield begin, most, ""
         return
-    given, drifts = (begin, some, "the given guess"), _drifts(problem, task)
+    first_guess, drifts = (begin, some, "the given guess"), _drifts(problem, task)
     if not drifts:
-        yield given
+        yield first_guess
     without_inputs = unactuated_motion(problem)
     if without_inputs is not None:
         yield begin._replace(guesses=without_inputs), some, "the motion without inputs"
     if drifts:
-        yield given
+        yield first_guess
     yield begin, most, "the given guess for longer"
 
 

@@ -23,7 +23,7 @@ def hits(trials):
     step = grid_step(rate, problem.band)
     low, random = Filter.of(rate / step, problem.band), np.random.default_rng(8)
     r, found = len(problem.base.chosen), []
-    true = problem.base.values(problem.given.ravel())
+    true = problem.base.values(problem.nominal.ravel())
     for _ in range(trials):
         noise = low.apply(NOISE * random.normal(size=(len(t), 7))[::step])
         noisy = block._replace(Y=block.Y + noise[: len(block.X), :, None])

@@ -52,7 +52,7 @@ class Columns:
         rows = self._regressor.rows(*self._states)[:, self._rows]
         self._choose_adapters = base_parameters(rows.reshape(-1, rows.shape[2])).chosen
         self._bodies = [body.name for body in moving_bodies(scene.robot)]
-        self._given = parameters_of(scene.robot.model).ravel()
+        self._nominal = parameters_of(scene.robot.model).ravel()
 
     def of(self, samples: Samples) -> Array:
         """Return the torque of a unit of each parameter, shape (n, m, p)."""
@@ -125,7 +125,7 @@ class Columns:
         units = np.eye(w.shape[1])
         rows = np.array([self._regressor.rows(y, 0.0 * w, 0.0 * w + unit) for unit in units])
         rows -= self._regressor.rows(y, 0.0 * w, 0.0 * w)
-        M, dM = (np.moveaxis(rows @ values, 0, 2) for values in (self._given, added))
+        M, dM = (np.moveaxis(rows @ values, 0, 2) for values in (self._nominal, added))
         least = 0.0
         for M_i, dM_i in zip(M, dM, strict=True):
             try:

@@ -266,11 +266,11 @@ def _initial_parameters(
     weights: Weights, plan: TrainingPlan
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return frozen and trained parameters: all weights, or low-rank factors of an addition."""
-    given = {key: torch.tensor(np.asarray(value)) for key, value in weights.items()}
+    all_weights = {key: torch.tensor(np.asarray(value)) for key, value in weights.items()}
     if not plan.rank:
-        return {}, {key: value.requires_grad_() for key, value in given.items()}
+        return {}, {key: value.requires_grad_() for key, value in all_weights.items()}
     random, moved = np.random.default_rng(plan.seed), {}
-    for key, value in given.items():
+    for key, value in all_weights.items():
         if value.ndim != 3:
             continue
         members, after, before = value.shape
@@ -278,7 +278,7 @@ def _initial_parameters(
         moved[f"{key}.A"] = torch.tensor(A, requires_grad=True)
         B = torch.zeros((members, after, plan.rank), dtype=torch.float64)
         moved[f"{key}.B"] = B.requires_grad_()
-    return given, moved
+    return all_weights, moved
 
 
 class _EarlyStopping:

@@ -74,7 +74,7 @@ class RecursivePayload:
         joint = int(link.parentJoint)
         self._columns = slice(COUNT * (joint - 1), COUNT * joint)
         self._to_joint = parameter_transformation(link.placement)
-        self._given = parameters_of(robot.model).ravel()
+        self._nominal = parameters_of(robot.model).ravel()
         self._n = len(self._regressor.labels)
         self._memory = memory
         self._cutoff = cutoff
@@ -151,7 +151,7 @@ class RecursivePayload:
         y, v, a = (row[None, :n] for row in state)
         effort = state[0, n:]
         W = self._regressor.rows(y, v, a)
-        known = self._regressor.known(W, y, v, a, [])[0] + W[0] @ self._given
+        known = self._regressor.known(W, y, v, a, [])[0] + W[0] @ self._nominal
         X, torque = W[0][:, self._columns] @ self._to_joint, effort - known
         sigma = self._update_deviation(torque - X @ self.numbers, effort, dt)
         decay = math.exp(-dt / self._memory)
