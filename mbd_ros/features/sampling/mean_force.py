@@ -70,7 +70,7 @@ def instant(held: Ensemble, at: Walkers, gradient: Array, *, fixman: bool) -> In
     pull = np.einsum("aib,ib->ab", place.D, gradient)
     multiplier = solve(place.A, pull - bending)[-1]
     W = np.einsum("aib,ab->ib", place.D, B[:, -1])
-    K = np.einsum("cib,aib->cab", part.turned(at.q, W), place.D)
+    K = np.einsum("cib,aib->cab", part.jacobian_rate(at.q, W), place.D)
     G = np.einsum("acb,cab->b", B, K)
     log_weight = -log_determinant(place.A)
     if not fixman and len(B) > 1:
@@ -90,7 +90,7 @@ def _bending(held: Ensemble, at: Walkers) -> Array:
         velocities = [part.project(place, v) for v in unit]
     total = np.zeros(place.J.shape[::2])
     for v in velocities:
-        total += np.einsum("aib,ib->ab", part.turned(at.q, v), v)
+        total += np.einsum("aib,ib->ab", part.jacobian_rate(at.q, v), v)
     return total
 
 
