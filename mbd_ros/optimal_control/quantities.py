@@ -92,7 +92,7 @@ class Quantities:
         return matches
 
     def requested(self) -> dict[str, tuple[Quantity, str]]:
-        """Quantities of parts, sensors and joints that have been requested, and units, by name."""
+        """Return requested quantities of parts, sensors and joints, with units, by name."""
         names = (name for name in self._named if name in self._parts.names)
         return {name: (self._named[name], self._parts.unit(name)) for name in names}
 

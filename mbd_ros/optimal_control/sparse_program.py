@@ -237,7 +237,8 @@ class Form:
         self._f = None if cost is None else f
         self.size = int(unknowns.numel())
         self.rows = int(self._g.numel())
-        self._lam_f, self._lam_g = ca.SX.sym("s"), ca.SX.sym("l", self.rows)
+        self._lam_f = ca.SX.sym("s")
+        self._lam_g = ca.SX.sym("l", self.rows)
 
     @property
     def has_cost(self) -> bool:

@@ -74,20 +74,23 @@ class MechanismProcess:
         internal_sizes: Array | None = None,
         limits: bool = True,
     ) -> None:
-        self.simulation, system = simulation, simulation.system
+        self.simulation = simulation
+        system = simulation.system
         self._system: System = system
         self._inertias = UnknownInertias(system.robot.model, masses)
         self.start = self.consistent(x)
         self.sensors = SensorSet(sensors, system, self.evaluate)
         self.tangent = StateTangent(system, self.start)
         self._limits = StateLimits(system, self.tangent, positions=limits, velocities=limits)
-        self.n, nz = self.tangent.n, system.internals.nz
+        self.n = self.tangent.n
+        nz = system.internals.nz
         self._density = np.concatenate(
             (effort_noise, np.zeros(nz) if internal_noise is None else internal_noise)
         )
         if not (np.isfinite(self._density).all() and (self._density >= 0.0).all()):
             raise ModelError("the density of process noise must be finite and >= 0")
-        self.nw, self.sizes = len(self._density), np.ones(self.n)
+        self.nw = len(self._density)
+        self.sizes = np.ones(self.n)
         if internal_sizes is not None:
             self.sizes[self.n - nz :] = internal_sizes
 

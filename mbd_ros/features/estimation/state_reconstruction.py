@@ -100,7 +100,8 @@ class StateReconstructor:
         self._differentiator.reset()
         self.missing: tuple[str, ...] = ()
         self.held_joints: tuple[str, ...] = ()
-        self._last, self._is_placed = self._start, self._can_start
+        self._last = self._start
+        self._is_placed = self._can_start
         self._measured = self._start.q
         self._determined_at = np.full(
             len(self.names), _NEVER, dtype=np.int64
@@ -141,7 +142,8 @@ class StateReconstructor:
         if isinstance(outcome, ProjectedState):
             self._measured_at[known] = stamp
             self._determined_at[known | ~outcome.undetermined] = stamp
-            self._last, self._is_placed = outcome.x, True
+            self._last = outcome.x
+            self._is_placed = True
         return outcome
 
     def _judge(

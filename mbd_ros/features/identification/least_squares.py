@@ -432,5 +432,6 @@ class TriangularFactor:
         """Factorize the rows that wait, and return this object."""
         if self._waiting:
             self.R = triangular_factor(np.concatenate([self.R, *self._pieces]))
-            self._pieces, self._waiting = [], 0
+            self._pieces = []
+            self._waiting = 0
         return self

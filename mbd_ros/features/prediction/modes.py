@@ -215,16 +215,16 @@ def add_drives(scene: Scene, by: DrivenBy = "scene", bounded: Iterable[str] = ()
     if by == "muscles" and not scene.muscles:
         raise SceneError(f"{scene.name}: driven_by: muscles: the scene has no muscles")
     muscles = smooth_entries(scene, {"tendon": "rigid"}) if by == "muscles" else None
-    wrenches_ = scene.entries.get("external_wrenches") or {}
+    scene_wrenches = scene.entries.get("external_wrenches") or {}
     wrenches = {
-        _unique_name(f"{base.name}{_RESIDUAL}", wrenches_): {"frame": base.frame}
+        _unique_name(f"{base.name}{_RESIDUAL}", scene_wrenches): {"frame": base.frame}
         for base in scene.robot.bases
     }
     with_drives = with_sections(
         scene,
         muscles=muscles,
         actuators=drives,
-        external_wrenches={**wrenches_, **wrenches} or None,
+        external_wrenches={**scene_wrenches, **wrenches} or None,
     )
     return DrivenScene(with_drives, tuple(wrenches))
 

@@ -373,7 +373,8 @@ class SelfCollision:
 
     def __init__(self, scene: Scene) -> None:
         self.remarks: list[str] = []
-        self._model, self._pairs = scene.robot.model, 0
+        self._model = scene.robot.model
+        self._pairs = 0
         model_source = scene.robot.model_sources[0]
         if len(scene.robot.model_sources) > 1 or "<collision" not in model_source.text:
             self.remarks.append("there are no collision shapes; self-collision is not checked")

@@ -136,7 +136,8 @@ class RecursivePayload:
             return False
         step = stamp - self._stamp
         self._filter.update(signal, step)
-        self._stamp, dt = stamp, step * NANOSECOND
+        self._stamp = stamp
+        dt = step * NANOSECOND
         self._since_update += dt
         self._since_settled += dt
         if self._since_settled < 0.0 or self._since_update * self._cutoff * _UPDATES < 1.0:
