@@ -185,7 +185,7 @@ class Terms(NamedTuple):
         integral: Expression at points whose integral is added; None for none.
         final: Expression at the end that is added; None for none.
         time: Cost of a second.
-        steep: Inputs, and weights of the integrals of their squared rates.
+        rates: Inputs, and weights of the integrals of their squared rates.
         speeds: Positions, targets of their mean speeds, and weights of the squared differences.
         tracked: Tracked quantities, weights of the integrals of the squared differences, and
             whether references are required.

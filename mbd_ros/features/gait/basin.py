@@ -44,7 +44,7 @@ def scan_basin(
     Args:
         family: The scene and its task.
         gaits: The gaits; only stable ones count, unless there are none.
-        asked: Grid, cycles and tolerance.
+        options: Grid, cycles and tolerance.
         workers: Number of processes.
         scheduler: Address of a Dask cluster.
 

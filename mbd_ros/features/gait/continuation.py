@@ -356,7 +356,7 @@ def follow_branches(
         family: Return maps along the parameter.
         gait: The gait.
         number: Number of the gait, from 1 on.
-        asked: Options of the continuation.
+        options: Options of the continuation.
         say: Receives a line for each doubled branch that is not found.
 
     Raises:

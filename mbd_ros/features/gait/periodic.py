@@ -37,7 +37,7 @@ def periodic_motion(map_: ReturnMap, y: State) -> PeriodicMotion:
     cycles, which leads to stable gaits, and Newton's method starts from there.
 
     Args:
-        way: The return map.
+        map_: The return map.
         y: Guess: a state near the guard of the section, before the event.
 
     Raises:

@@ -221,7 +221,7 @@ def prescribed_inputs(
     Loads without a measurement are zero, unless they drive the scene.
 
     Args:
-        driven: The scene, and which of its wrenches drive its bases.
+        driven_scene: The scene, and which of its wrenches drive its bases.
         bounded: Names of quantities with bounds.
         recording: Recorded motion with the loads; None for none.
         begin: Begin of the phase [s].

@@ -56,7 +56,7 @@ def search(scene: Scene, task: PredictTask, say: Say, workers: StartWorkers = LO
 
     Args:
         say: Receives a line for each mesh.
-        where: Where several starts are solved.
+        workers: Where several starts are solved.
 
     Raises:
         SceneError: The lists of values differ in length.
@@ -115,7 +115,7 @@ def best_start(
     Args:
         problem: Problem with the given guess.
         say: Receives a line for each mesh, or for each start.
-        where: Where the starts are solved.
+        workers: Where the starts are solved.
     """
     if task.starts == 1:
         return solve(problem, task, say), []

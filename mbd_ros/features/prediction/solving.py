@@ -89,6 +89,7 @@ def solve(problem: Problem, task: PredictTask, say: Say) -> Prediction:
 def _solve_refined(
     problem: Problem, task: PredictTask, say: Say, interruption: Interruption
 ) -> Prediction:
+    """Solve a problem on meshes that are refined until the errors are within the tolerance."""
     begin = InitialGuess(list(problem.guesses), problem.parameters, problem.links)
     total, lines, costs = 0, list[str](), list[float]()
     has_pieces = problem.recording is None and problem.program.has_pieces
@@ -103,10 +104,9 @@ def _solve_refined(
         if not problem.program.keeps_limits(solution):
             return prediction._replace(keeps_limits=False)
         costs.append(solved.cost)
-        is_settled = all(unused.is_settled for unused in evaluations) or _is_same(
+        is_settled = all(evaluation.is_settled for evaluation in evaluations) or _is_same(
             costs, task.tolerance
         )
-        is_done = solved.is_good and prediction.is_fine and is_settled
         is_done = solved.is_good and prediction.is_fine and is_settled
         if is_done or not (solved.is_good or watcher.is_stagnating):
             return prediction
@@ -134,7 +134,7 @@ class Prediction(NamedTuple):
         is_fine: Whether the errors are within the tolerance and no bound is violated too far.
         iterations: Iterations on all meshes.
         lines: Lines for people, one per mesh.
-        passings: Bounds that are violated between nodes, the worst one first.
+        bound_violations: Bounds that are violated between nodes, the worst one first.
         is_interrupted: Whether the user ended the search between two meshes.
         keeps_limits: Whether held contacts neither pull nor slip, as far as is known.
     """
@@ -286,7 +286,7 @@ class Interruption:
     """Request of the user to stop.
 
     Attributes:
-        is_asked: Whether the user has requested a stop.
+        is_requested: Whether the user has requested a stop.
     """
 
     def __init__(self) -> None:
@@ -469,7 +469,7 @@ class MeshEvaluation(NamedTuple):
         status: Status of bounds of states at the points.
         begins: Status of bounds of states at the first node of each interval.
         passed: Which intervals violate which bounds of states too far between points, (n, k).
-        passings: Bounds that are violated at all, the worst one first.
+        bound_violations: Bounds that are violated at all, the worst one first.
         is_settled: Whether every change of inputs is at a node that could move.
     """
 

@@ -140,7 +140,7 @@ def collocation(samples: Samples, target: Array, random: np.random.Generator) ->
     """Return states near the measured ones at which a network must satisfy the dynamics.
 
     Args:
-        wanted: Required torque over its scale, shape (n, m), if it does not depend on the state.
+        target: Required torque over its scale, shape (n, m), if it does not depend on the state.
         random: Generator for the states.
     """
     from mbd_ros.features.identification.learn.network import Collocation
@@ -239,8 +239,8 @@ class AdapterChoice(NamedTuple):
     """What an adapted model uses beside the corrections.
 
     Attributes:
-        with_earlier: Whether corrections are fitted to the samples of the earlier model, too.
-        with_network: Whether the torque of the network is added.
+        uses_earlier_samples: Whether corrections are fitted to samples of the earlier model too.
+        uses_network: Whether the torque of the network is added.
     """
 
     uses_earlier_samples: bool

@@ -178,7 +178,7 @@ def solve_corrections(known: SampleStatistics, uses_network: bool) -> Array:
 
     Args:
         known: Statistics of the samples.
-        with_network: Whether the torque of the network is added to the corrections.
+        uses_network: Whether the torque of the network is added to the corrections.
     """
     p, usual = known.triangle.shape[2] - 2, known.usual[:, None]
     A = known.triangle[:, :, :p] / usual[..., None]

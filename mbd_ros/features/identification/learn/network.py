@@ -195,7 +195,7 @@ class Collocation(NamedTuple):
 
     Attributes:
         samples: The states.
-        wanted: Required torque of the network over its scale, shape (n, m).
+        target: Required torque of the network over its scale, shape (n, m).
         weight: Weight of this loss relative to that of the data.
     """
 
@@ -218,7 +218,7 @@ def train(
     Args:
         network: `Free` or `Structured`.
         samples: Training samples.
-        wanted: Torque over its scale, shape (n, m).
+        target: Torque over its scale, shape (n, m).
         collocation: States at which the equations of motion must hold; None for none.
         tell: Receives the share of the work that is done.
 

@@ -129,7 +129,7 @@ def trusted_share(predicted: Array, target: Array, blocks: int, together: bool) 
 
     Args:
         predicted: Predictions for samples that were left out, shape (n, m).
-        wanted: Torques of these samples, same shape.
+        target: Torques of these samples, same shape.
         blocks: Number of blocks of time that were left out, one after another.
         together: Whether all joints share one factor.
     """
