@@ -173,7 +173,7 @@ def test_bad_measurements(leg):
     pairs = {"foot": (Measurement(pairs=[["heel", "toe"]]),)}
     with pytest.raises(DataError, match="no frame 'shnk'"):
         scaled(leg, static(found), ScaleTask(whole("shnk", 1.0)))
-    with pytest.raises(DataError, match="foot would be scaled by .*is the unit right"):
+    with pytest.raises(DataError, match="foot would be scaled by .*check the unit"):
         scaled(leg, static({n: 10.0 * p for n, p in found.items()}), ScaleTask(pairs))
     unseen = {**found, "toe": np.full(3, np.nan)}
     with pytest.raises(DataError, match="heel and toe are never seen together"):
