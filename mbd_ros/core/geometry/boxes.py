@@ -65,8 +65,8 @@ class BoxOnBox(Meeting):
         gap, point, normal = (np.concatenate(part) for part in zip(*parts, strict=True))
         return Touch(gap, point - o, framed(normal, nearest_bases(normal)))
 
-    def room(self, seen: PairMotion, gaps: Array) -> float:
-        """How far the bodies are from touching at least [m]: features may be farther apart."""
+    def clearance(self, seen: PairMotion, gaps: Array) -> float:
+        """Return a lower bound of the distance of the bodies [m], which features may exceed."""
         pose = seen.pose()
         return min(self.faces(pose.rotation, pose.translation).apart, float(gaps.min()))
 

@@ -66,8 +66,8 @@ class ConvexOnConvex(Meeting):
         self._request = coal.DistanceRequest()
         self._request.gjk_tolerance = _SEARCHED
 
-    def room(self, seen: PairMotion, gaps: Array) -> float:
-        """How far the bodies are from touching at least [m]: features may be farther apart."""
+    def clearance(self, seen: PairMotion, gaps: Array) -> float:
+        """Return a lower bound of the distance of the bodies [m], which features may exceed."""
         pose = seen.pose()
         return min(self._apart(pose.rotation, pose.translation).distance, float(gaps.min()))
 

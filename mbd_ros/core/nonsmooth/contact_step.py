@@ -533,7 +533,7 @@ class ContactScreening(StepRows):
             gaps[at] = part.residual(self._k, x)
             pair = part.pair
             own = gaps[at[::3]]
-            self._room[i] = own.min() if pair is None else pair.room(self._k, own)
+            self._room[i] = own.min() if pair is None else pair.clearance(self._k, own)
         if looked_at:
             self._spare = self._speed.shortest(self._room)
         return np.where(self.every.pushes, gaps, np.inf)

@@ -343,7 +343,7 @@ def test_features_of_convex_bodies_know_their_distance(case):
         near = int(np.argmin(gaps))
         seen.append(near)
         assert gaps[near] == pytest.approx(1e-4, rel=0.02)
-        assert pair.room(k, gaps) == pytest.approx(1e-4, rel=0.02)
+        assert pair.clearance(k, gaps) == pytest.approx(1e-4, rel=0.02)
         x = State(0.0, q, rng.normal(size=scene.robot.model.nv))
         k, _ = at(scene, pair, x)
         rows = slice(3 * near, 3 * near + 3)
