@@ -215,8 +215,8 @@ def _filter(
             raise SolveError(f"{where}: at t = {t:.9g} s: the estimate is not finite")
         is_filter = isinstance(estimator, KalmanFilter)
         samples.append(estimator.sample if is_filter else FilterSample(None, belief, belief))
-        for name, what in tracker.faults.active_faults().items():
-            faults[name] = what, faults.get(name, ("", 0))[1] + 1
+        for name, fault in tracker.faults.active_faults().items():
+            faults[name] = fault, faults.get(name, ("", 0))[1] + 1
     return EstimationResult(estimation, samples, inputs, tracker.watch, faults, tracker.restarts)
 
 

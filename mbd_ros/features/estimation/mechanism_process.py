@@ -155,12 +155,12 @@ class MechanismProcess:
             flow = piece if flow is None else piece.dot(flow)
             y = self.simulation.advance(y, u, end)
         assert flow is not None
-        pushed = self._disturbance_response(y, u, slopes.force, t - before)
+        response = self._disturbance_response(y, u, slopes.force, t - before)
         noise = np.diag(self._density**2 / (t - before))
         if self.tangent.is_unconstrained:
-            return Transition(y, flow, pushed, noise)
+            return Transition(y, flow, response, noise)
         lower = self.tangent.restriction(y)
-        return Transition(y, lower.dot(flow).dot(lift), lower.dot(pushed), noise)
+        return Transition(y, lower.dot(flow).dot(lift), lower.dot(response), noise)
 
     def observe(self, x: State, u: Array | None) -> Observation:
         """Return the predicted measurements of the sensors, and their derivatives."""

@@ -185,11 +185,11 @@ class StateReconstructor:
             return self._projector.project(m)
         begin = self._measured
         change = np.where(m.known, m.x.q - begin, 0.0)
-        strides, reached = _strides(change), self._last.q
+        strides, q_last = _strides(change), self._last.q
         for i in range(1, strides):
-            q = self._fill_missing(begin + (i / strides) * change, m.known, reached)
-            reached = self._projector.project(m._replace(x=m.x._replace(q=q))).x.q
-        self._measured = q = self._fill_missing(m.x.q, m.known, reached)
+            q = self._fill_missing(begin + (i / strides) * change, m.known, q_last)
+            q_last = self._projector.project(m._replace(x=m.x._replace(q=q))).x.q
+        self._measured = q = self._fill_missing(m.x.q, m.known, q_last)
         m = m._replace(x=m.x._replace(q=q))
         return self._projector.project(m, prepared if (q == filled).all() else None)
 
@@ -240,11 +240,11 @@ class Determinations:
         self._ahead = ahead
         self._limit = limit
         nv = system.nv
-        lifted = system.expand(State(0.0, system.reduce(_neutral(system)).q, np.zeros(nv)))
+        neutral = system.expand(State(0.0, system.reduce(_neutral(system)).q, np.zeros(nv)))
         is_known = np.zeros(nv, dtype=np.bool_)
         for name in measured:
             v = system.robot.joint(name).v
-            is_known = is_known | _moves(system, lifted, v)
+            is_known = is_known | _moves(system, neutral, v)
         self._known = np.flatnonzero(is_known)
         self._others = np.flatnonzero(~is_known)
         self.is_needed = bool(system.bilateral.rows) and len(self._others) > 0

@@ -136,14 +136,16 @@ class Tracker:
         observation = estimator.process.observe(self.belief.x, u)
         values = self._sensors.near(values, observation.y)
         H = observation.H
-        known = np.einsum("ij,ij->i", H.dot(self.belief.P), H)
+        predicted_variance = np.einsum("ij,ij->i", H.dot(self.belief.P), H)
         noise = observation.R.diagonal()
-        used = self.faults.usable(values, observation.y, np.sqrt(known + noise), dt)
-        belief = estimator.correct(Measurement(t, values, used), observation)
+        is_usable = self.faults.usable(
+            values, observation.y, np.sqrt(predicted_variance + noise), dt
+        )
+        belief = estimator.correct(Measurement(t, values, is_usable), observation)
         assert belief.innovation is not None
         self.faults.note(t, values, belief.innovation)
         self.watch.add(belief.innovation)
-        if (self.faults.refused() & (known > _DETERMINED * noise)).any():
+        if (self.faults.refused() & (predicted_variance > _DETERMINED * noise)).any():
             self._widen(t, values)
         if self.window is not None and isinstance(estimator, KalmanFilter):
             self.window.add(estimator.sample, u)

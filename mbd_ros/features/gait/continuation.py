@@ -146,7 +146,7 @@ class Continuation:
         self, first: BranchPoint, second: BranchPoint, cycles: int
     ) -> list[BranchPoint]:
         """Return the bifurcations between two points."""
-        located = []
+        bifurcations = []
         length = self._length(first, second)
         for mark in bifurcations_between(first, second):
 
@@ -163,8 +163,8 @@ class Continuation:
             except MbdError:
                 at = None
             if at is not None:
-                located.append((step, at._replace(mark=mark)))
-        return [point for _, point in sorted(located, key=lambda pair: pair[0])]
+                bifurcations.append((step, at._replace(mark=mark)))
+        return [point for _, point in sorted(bifurcations, key=lambda pair: pair[0])]
 
     def _length(self, first: BranchPoint, second: BranchPoint) -> float:
         """Return the step from a point to the plane of another one."""
@@ -374,15 +374,15 @@ def follow_branches(
     while waiting:
         named, level = waiting.pop(0)
         yield named
-        for mark in named.branch.bifurcations:
-            if mark.mark != DOUBLING or level >= options.doublings:
+        for bifurcation in named.branch.bifurcations:
+            if bifurcation.mark != DOUBLING or level >= options.doublings:
                 continue
             try:
-                branch = continuation.follow_doubling(mark, named.branch.cycles)
+                branch = continuation.follow_doubling(bifurcation, named.branch.cycles)
             except SolveError as error:
                 say(f"{named.label}: {error}")
                 continue
-            label = f"{named.label}, doubled at {mark.parameter:.9g}"
+            label = f"{named.label}, doubled at {bifurcation.parameter:.9g}"
             waiting.append((NamedBranch(branch, number, label), level + 1))
 
 
@@ -440,8 +440,8 @@ def branch_lines(named: NamedBranch, parameter: str) -> Iterator[str]:
     )
     for begin, end in stable_stretches(points):
         yield f"  stable for {parameter} {begin:.9g} .. {end:.9g}"
-    for mark in named.branch.bifurcations:
-        yield f"  {mark.mark} at {parameter} = {mark.parameter:.12g}"
+    for bifurcation in named.branch.bifurcations:
+        yield f"  {bifurcation.mark} at {parameter} = {bifurcation.parameter:.12g}"
 
 
 def stable_stretches(points: tuple[BranchPoint, ...]) -> list[tuple[float, float]]:

@@ -318,8 +318,8 @@ def _relative_errors(
     """
     errors, columns = {}, []
     size = np.maximum(np.sqrt(np.mean(np.square(y), axis=0)), TINY)
-    for who, prediction in zip(("identified", "given"), predictions, strict=True):
-        key, rms = f"{who}{suffix}", np.sqrt(np.mean(np.square(prediction - y), axis=0))
+    for model, prediction in zip(("identified", "given"), predictions, strict=True):
+        key, rms = f"{model}{suffix}", np.sqrt(np.mean(np.square(prediction - y), axis=0))
         errors[key] = float(np.linalg.norm(prediction - y) / max(np.linalg.norm(y), TINY))
         columns.append(TableColumn(f"{key.replace(' ', '_')}.rms", rms, "N·m or N"))
         columns.append(TableColumn(f"{key.replace(' ', '_')}.share", 100.0 * rms / size, "%"))

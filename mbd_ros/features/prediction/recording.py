@@ -51,10 +51,10 @@ def add_recording(scene: Scene, task: PredictTask) -> tuple[Scene, PredictTask, 
     times = motion.stamps * NANOSECOND
     slack = _DRIFT * float(np.diff(times).min())
     first, last = np.clip(recording_task.times or times[[0, -1]], times[0], times[-1]).tolist()
-    wanted = recording_task.times or (first, last)
-    if first >= last or max(abs(first - wanted[0]), abs(last - wanted[1])) > slack:
+    interval = recording_task.times or (first, last)
+    if first >= last or max(abs(first - interval[0]), abs(last - interval[1])) > slack:
         raise SceneError(
-            f"{task.source}: predict.recording.times: {wanted[0]:g} .. {wanted[1]:g} s is "
+            f"{task.source}: predict.recording.times: {interval[0]:g} .. {interval[1]:g} s is "
             f"outside of the motion {recording_task.motion}, which lasts from {times[0]:g} to "
             f"{times[-1]:g} s"
         )

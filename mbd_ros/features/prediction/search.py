@@ -153,12 +153,12 @@ def _start_on_workers(count: int, say: Say, workers: StartWorkers) -> Iterator[S
     """Yield the results of all starts, or of those solved until Ctrl-C, in their order."""
     order, done = dict(workers.order or {}), list[Start]()
     try:
-        with open_workers(workers.scheduler, workers.workers or cores()) as opened:
+        with open_workers(workers.scheduler, workers.workers or cores()) as pool:
             tasks = [
                 Task(f"start {number}", f"{__name__}:try_start", {**order, "number": number})
                 for number in range(1, count + 1)
             ]
-            for worker_task, result in watched(do_all(opened, tasks), tasks, opened.count):
+            for worker_task, result in watched(do_all(pool, tasks), tasks, pool.count):
                 if result.failure:
                     raise DataError(f"{worker_task.name}: {result.failure}")
                 done.append(Start(*result.value))

@@ -351,20 +351,20 @@ def _attempts(
 ) -> Iterator[tuple[InitialGuess, int, str]]:
     """Yield guesses, largest numbers of iterations, and names of the guesses."""
     most = task.iterations
-    some = min(_PATIENCE, most)
+    patience = min(_PATIENCE, most)
     if begin.is_near:
-        yield begin, some, ""
+        yield begin, patience, ""
         yield begin._replace(is_near=False), most, "a wider search on this mesh"
         return
-    if most <= some or problem.recording is not None:
+    if most <= patience or problem.recording is not None:
         yield begin, most, ""
         return
-    first_guess, drifts = (begin, some, "the given guess"), _drifts(problem, task)
+    first_guess, drifts = (begin, patience, "the given guess"), _drifts(problem, task)
     if not drifts:
         yield first_guess
     without_inputs = unactuated_motion(problem)
     if without_inputs is not None:
-        yield begin._replace(guesses=without_inputs), some, "the motion without inputs"
+        yield begin._replace(guesses=without_inputs), patience, "the motion without inputs"
     if drifts:
         yield first_guess
     yield begin, most, "the given guess for longer"

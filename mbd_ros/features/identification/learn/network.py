@@ -233,7 +233,9 @@ def train(
     left_out &= plan.leaves_out
     x, y = network.inputs(samples), torch.as_tensor(target)
     states = None if collocation is None else network.inputs(collocation.samples)
-    seen, unseen = (torch.as_tensor(mask)[..., None] / 1.0 for mask in (~left_out, left_out))
+    training_mask, validation_mask = (
+        torch.as_tensor(mask)[..., None] / 1.0 for mask in (~left_out, left_out)
+    )
     fixed, moved = _initial_parameters(weights, plan)
     optimizer = torch.optim.AdamW(
         list(moved.values()), lr=plan.rate, weight_decay=0.0 if plan.rank else _DECAY
@@ -244,9 +246,9 @@ def train(
         current = _network_weights(fixed, moved, plan)
         square = (network.torque(current, *x) - y) ** 2
         if step % _VALIDATION_INTERVAL == 0 and (plan.leaves_out or step == plan.steps):
-            best.update(_mean(square.detach(), unseen), current)
+            best.update(_mean(square.detach(), validation_mask), current)
             tell(step / plan.steps)
-        loss = _mean(square, seen).sum()
+        loss = _mean(square, training_mask).sum()
         if collocation is not None:
             error = network.torque(current, *states) - torch.as_tensor(collocation.target)
             loss = loss + collocation.weight * (error**2).mean(dim=(1, 2)).sum()
