@@ -122,7 +122,7 @@ class Reading:
             Unexpressed: Always then.
         """
         if len({self._carrier(body) for body in bodies}) == 1:
-            raise Unexpressed("its bodies do not move against each other")
+            raise Unexpressed("its bodies have no relative motion")
 
     def _carrier(self, body: str) -> str:
         """The body whose joints, of those that are not locked, carry a body."""

@@ -80,7 +80,7 @@ class Reading:
         """
         ends = {self.carriers[end.body] if end else "" for end in (a, b)}
         if len(ends) == 1:
-            raise Unexpressed("its bodies do not move against each other")
+            raise Unexpressed("its bodies have no relative motion")
 
     def coordinate(self, item: Item, *sockets: str) -> str:
         """The coordinate that an element names by its name or by a path to it.
