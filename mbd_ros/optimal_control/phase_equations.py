@@ -59,7 +59,7 @@ class PhaseEquations:
         self.symbols["w"] = ca.SX.sym("w", e.nz)
         joints = e.system.chart.model.joints
         bases = tuple((int(j.idx_q), int(j.idx_v)) for j in joints if j.nq == _POSE)
-        counts = (len(rows.g) for rows in (e.acting, self._closing, self._independent_rows))
+        counts = (len(rows.g) for rows in (e.active_rows, self._closing, self._independent_rows))
         self.sizes = Sizes(e.nq, e.nv, e.nz, e.nu, *counts, bases)
 
     @cached_property
@@ -102,8 +102,8 @@ class PhaseEquations:
     @cached_property
     def _independent_rows(self) -> Rows:
         """Rows that are not redundant."""
-        rows = range(len(self.equations.acting.g))
-        return self.equations.acting.only([i for i in rows if i not in self.dependence.rows])
+        rows = range(len(self.equations.active_rows.g))
+        return self.equations.active_rows.only([i for i in rows if i not in self.dependence.rows])
 
     @cached_property
     def has_pieces(self) -> bool:

@@ -340,7 +340,7 @@ def multiplier_names(e: Any) -> list[str]:
     rigid = e.system.bilateral.constraints.blocks
     names = [row.name for block in rigid for row in block.rows]
     all_names = [row.name for row in e.system.multiplier_rows]
-    slots = e.unilateral.slots[: len(e.acting.J) - len(names)]
+    slots = e.unilateral.slots[: len(e.active_rows.J) - len(names)]
     return names + [all_names[slot] for slot in slots]
 
 

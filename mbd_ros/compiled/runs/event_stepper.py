@@ -57,7 +57,7 @@ class EventStepper(EventSteps, BlockStepper):
         return self._run.is_within
 
     @property
-    def taken(self) -> int:
+    def steps_taken(self) -> int:
         """Steps taken since it was made."""
         return self._run.steps + self._native.handed_over
 
@@ -90,24 +90,24 @@ class EventStepper(EventSteps, BlockStepper):
         self._native.enter(y)
         self._run.begin_samples(sample, is_within=is_within)
 
-    def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
+    def samples(self, times: Any, inputs: HeldTable, steps: int, most: int) -> SampleBlock:
         """The samples after the newest one."""
         if self.is_within:
             before = self._within_plain_step(times, most)
             if len(before) == most:
                 return SampleBlock(before, 0, False)
-            rows, _ = self._run.samples(times, held, 0, most - len(before))
+            rows, _ = self._run.samples(times, inputs, 0, most - len(before))
             return SampleBlock(np.concatenate((before, rows)), self._run.interval, False)
-        if not self._is_ready(self.state, held.values[0]):
+        if not self._is_ready(self.state, inputs.values[0]):
             return SampleBlock(np.zeros((0, self._run.row)), 0, True)
         if self.field.active(self.mode) or self.field.drives(self.mode):
             # inputs that jump decide the mode again
-            held = HeldTable(*(column[:1] for column in held))
+            inputs = HeldTable(*(column[:1] for column in inputs))
         self._native.enter(self.state)
-        rows, status = self._run.samples(times, held, steps, most)
+        rows, status = self._run.samples(times, inputs, steps, most)
         self._came_back(status)
-        last = min(self._run.interval, len(held.values) - 1)
-        self._u = held.values[last].copy()
+        last = min(self._run.interval, len(inputs.values) - 1)
+        self._u = inputs.values[last].copy()
         return SampleBlock(rows, self._run.interval, status not in WENT_ON)
 
     def _within_plain_step(self, times: Any, most: int) -> Array:
@@ -123,8 +123,8 @@ class EventStepper(EventSteps, BlockStepper):
             run.begin_samples(run.sample + 1, is_within=True)
         return np.array(rows).reshape(-1, run.row)
 
-    def whole(
-        self, y: State, first: Array, times: Any, held: HeldTable, steps: int
+    def full_run(
+        self, y: State, first: Array, times: Any, inputs: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
         """Nothing: events are located by Python."""
         return lambda: None

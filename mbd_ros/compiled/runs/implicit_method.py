@@ -64,10 +64,10 @@ class ImplicitMethod(NativeMethod):
         """
         self.refuse(system)
         prepare_stepper(self.method, system, dt)  # errors of the method come before a compilation
-        key = self.method.asks, self._stabilization.gains(dt)
+        key = self.method.compiled_functions, self._stabilization.gains(dt)
         if key not in self._cache:
             traced = _trace(system)
-            library = _compile(system, traced, self.method.asks, self._say)
+            library = _compile(system, traced, self.method.compiled_functions, self._say)
             self._cache[key] = traced, library
         self.traced, self.library = self._cache[key]
         compiled = CompiledSystem(system, self.traced, self.library)

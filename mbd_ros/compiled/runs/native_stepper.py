@@ -50,7 +50,7 @@ class NativeStepper(BlockStepper):
         return self._run.is_within
 
     @property
-    def taken(self) -> int:
+    def steps_taken(self) -> int:
         """Steps taken since it was made."""
         return self._run.steps + self.handed_over
 
@@ -66,23 +66,23 @@ class NativeStepper(BlockStepper):
         self.enter(y)
         self._run.begin_samples(sample, is_within=is_within)
 
-    def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
+    def samples(self, times: Any, inputs: HeldTable, steps: int, most: int) -> SampleBlock:
         """The samples after the newest one."""
         self._last, self._is_plain = None, False
-        rows, status = self._run.samples(times, held, steps, most)
+        rows, status = self._run.samples(times, inputs, steps, most)
         return SampleBlock(rows, self._run.interval, status not in WENT_ON)
 
-    def whole(
-        self, y: State, first: Array, times: Any, held: HeldTable, steps: int
+    def full_run(
+        self, y: State, first: Array, times: Any, inputs: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
         """What takes a run from its start to its end at once, again and again."""
-        take = self._run.whole(y, first, times, held, steps)
+        take = self._run.full_run(y, first, times, inputs, steps)
 
-        def taken() -> Array | None:
+        def compute() -> Array | None:
             self._last, self._is_plain = None, False
             return take()
 
-        return taken
+        return compute
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by one step; x itself at or after `end`."""
@@ -144,10 +144,14 @@ class NativeStepper(BlockStepper):
 
     def checkpoint(self) -> Memory:
         """The memory of the native run, beside that of plain steps."""
-        kept = {"run": self._run.checkpoint(), "last": copied(self.state)}
-        rest = {"is_plain": self._is_plain, "handed_over": self.handed_over}
-        rest["takes_blocks"] = self.takes_blocks
-        return {**kept, **rest, "plain": self._plain.checkpoint() if self._has_plain else None}
+        run_state = {"run": self._run.checkpoint(), "last": copied(self.state)}
+        flags = {"is_plain": self._is_plain, "handed_over": self.handed_over}
+        flags["takes_blocks"] = self.takes_blocks
+        return {
+            **run_state,
+            **flags,
+            "plain": self._plain.checkpoint() if self._has_plain else None,
+        }
 
     def restore(self, checkpoint: Memory, x: State) -> None:
         """Go on as after the step at which a checkpoint was taken, with the same bits."""

@@ -176,8 +176,8 @@ class Traced:
 
 def _dense(result: Any) -> Any:
     """A result whose columns are there even where they are empty."""
-    found = ca.densify(ca.SX(result))
-    return found if found.shape[1] else ca.SX(found.shape[0], 1)
+    results = ca.densify(ca.SX(result))
+    return results if results.shape[1] else ca.SX(results.shape[0], 1)
 
 
 class Expressions:
@@ -190,8 +190,8 @@ class Expressions:
         """Accelerations, rates of internal states, health; multipliers if rows switch."""
         e = self._equations
         solution = e.chosen[1]
-        found = [e.speeding(solution.a), e.rates, e.health(solution, has_switches=True)]
-        return [*found, ca.vertcat(*solution.lam)] if e.switches else found
+        results = [e.speeding(solution.a), e.rates, e.health(solution, has_switches=True)]
+        return [*results, ca.vertcat(*solution.lam)] if e.switches else results
 
     def multipliers(self) -> list[Any]:
         """Accelerations of all joints, and multipliers."""
@@ -241,7 +241,7 @@ class Expressions:
         """A step of Newton's method onto the gaps that are on, and their g."""
         e, rows = self._equations, self._switched
         chosen = rows.of(Reach.GAP)
-        on, held = rows.masked(chosen), e.held.of(Level.POSITION)
+        on, held = rows.masked(chosen), e.rigid_rows.of(Level.POSITION)
         a = self._moved(held, on, chosen, on.g)
         return [e.moving(a), ca.vertcat(*on.g)]
 
@@ -250,18 +250,18 @@ class Expressions:
         e, rows = self._equations, self._switched
         chosen, rates = rows.of(Reach.GAP, Reach.SLIP, Reach.FRICTION), rows.rates(e.velocity)
         left = [rates[i] for i in chosen]
-        a = self._moved(e.held, rows.masked(chosen), chosen, left)
+        a = self._moved(e.rigid_rows, rows.masked(chosen), chosen, left)
         return [e.moving(a), ca.vertcat(*left)]
 
     def _moved(
-        self, held: Rows, on: Rows, chosen: Sequence[int], left: Sequence[Any]
+        self, rigid: Rows, on: Rows, chosen: Sequence[int], left: Sequence[Any]
     ) -> list[Any]:
         """The smallest motion that ends what is left of chosen rows and moves no rigid one."""
-        e, still = self._equations, [ZERO] * len(held.J)
+        e, still = self._equations, [ZERO] * len(rigid.J)
         slack, soft = [*still, *self._switched.slack_of(chosen)], list[float]()
         if e.soft:
             soft = [*[0.0] * len(still), *(e.soft[e.mh + i] for i in chosen)]
-        factors = e.beside(held.beside(on), slack, soft)
+        factors = e.beside(rigid.beside(on), slack, soft)
         return factors.solve([ZERO] * e.nv, [*still, *(-one for one in left)]).a
 
     @property
@@ -274,13 +274,13 @@ class Expressions:
     def _part_guards(self) -> list[Any]:
         e = self._equations
         a, lam = self.multipliers()
-        now, found = (numbers(one) for one in (a, lam)), list[Any]()
+        now, results = (numbers(one) for one in (a, lam)), list[Any]()
         a, lam = now
-        for part, slots in ((e.own(part), slots) for part, slots in guarding(e.system)):
+        for part, slots in ((e.with_symbols(part), slots) for part, slots in guarding(e.system)):
             with tracing(part):
                 values = part.guard_values(e.k, e.x, e.u, Now(a, lam[slots]))
-                found += scalars(column(values))
-        return found
+                results += scalars(column(values))
+        return results
 
     def expand(self) -> list[Any]:
         """All positions and velocities."""
@@ -290,26 +290,26 @@ class Expressions:
     def place(self) -> list[Any]:
         """A step of Newton's method onto the rows of positions, their g, and their health."""
         e = self._equations
-        rows = e.held.of(Level.POSITION)
+        rows = e.rigid_rows.of(Level.POSITION)
         solution = e.beside(rows).solve([ZERO] * e.nv, [-g for g in rows.g])
         return [e.moving(solution.a), ca.vertcat(*rows.g), e.health(solution)]
 
     def settle(self) -> list[Any]:
         """What leads velocities onto the rows, and the rates that are left."""
         e = self._equations
-        rates = e.held.velocities(e.velocity)
-        solution = e.beside(e.held).solve([ZERO] * e.nv, [-one for one in rates])
+        rates = e.rigid_rows.velocities(e.velocity)
+        solution = e.beside(e.rigid_rows).solve([ZERO] * e.nv, [-one for one in rates])
         return [e.moving(solution.a), ca.vertcat(*rates)]
 
     def gap(self) -> list[Any]:
         """The g of the rows of positions."""
         e = self._equations
-        return [ca.vertcat(*e.held.of(Level.POSITION).g)]
+        return [ca.vertcat(*e.rigid_rows.of(Level.POSITION).g)]
 
     def lift(self) -> list[Any]:
         """M^-1 J' (J M^-1 J')^-1 of the rows of positions, shape (nv, mg), and their health."""
         e = self._equations
-        rows = e.held.of(Level.POSITION)
+        rows = e.rigid_rows.of(Level.POSITION)
         held, zero = e.beside(rows), [ZERO] * e.nv
         ones = [[ca.SX(float(i == j)) for i in range(e.mg)] for j in range(e.mg)]
         solutions = [held.solve(zero, one) for one in ones]

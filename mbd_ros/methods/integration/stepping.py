@@ -37,7 +37,7 @@ class Integrator:
         native: What compiled runs call its steps: `runge_kutta`, which have a `tableau` and may
             have a `tolerance`, `adams`, `rattle` or `semi_implicit_euler`; empty where they know
             no such steps.
-        asks: Functions of a compiled scene that its steps in Python gain by, as
+        compiled_functions: Functions of a compiled scene that its steps in Python gain by, as
             `compiled/symbols/trace.py` names them; empty where they gain nothing.
         stable: Largest rate times dt, with the rate of `linear_motion.fastest_rate`, at which no
             oscillation and no decay grows, however it is damped; beyond it `growth` decides. inf
@@ -56,7 +56,7 @@ class Integrator:
     at_velocity_level: ClassVar[bool] = False
     finds_surfaces: bool = False
     native: str = ""
-    asks: tuple[str, ...] = ()
+    compiled_functions: tuple[str, ...] = ()
     stable: float = 2.5
 
     @property
@@ -313,7 +313,7 @@ class BlockStepper(Stepper):
         raise NotImplementedError
 
     @property
-    def taken(self) -> int:
+    def steps_taken(self) -> int:
         """Steps taken since it was made."""
         raise NotImplementedError
 
@@ -343,7 +343,7 @@ class BlockStepper(Stepper):
         """
         raise NotImplementedError
 
-    def whole(
+    def full_run(
         self, y: State, first: Array, times: Any, held: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
         """Return what takes a run from its start to its end at once, again and again.

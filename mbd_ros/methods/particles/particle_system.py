@@ -276,12 +276,12 @@ class ParticleRows:
         """dg/dq, shape (m, nv), dense."""
         J, row = np.zeros((self.count, self._size)), 0
         for kind, x, mine in zip(self._kinds, self.split(q), self._slices, strict=True):
-            own = [row for cluster in kind.clusters for row in cluster.rows]
-            directions = [one.direction(x) for one in own]
+            kind_rows = [row for cluster in kind.clusters for row in cluster.rows]
+            directions = [row_of_kind.direction(x) for row_of_kind in kind_rows]
             for lane in range(kind.count):
                 first = mine.start + 3 * len(kind.atoms) * lane
-                for one, D in zip(own, directions, strict=True):
-                    for i, sign in one.ends:
+                for row_of_kind, D in zip(kind_rows, directions, strict=True):
+                    for i, sign in row_of_kind.ends:
                         J[row, first + 3 * i : first + 3 * i + 3] += sign * D[:, lane]
                     row += 1
         return J

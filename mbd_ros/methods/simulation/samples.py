@@ -197,35 +197,35 @@ class SampleBlocks:
         """
         stepper, times, most = self.stepper, self._times, min(most, _MOST)
         watch.begin(self._at.y.t)
-        check_at, since = WINDOW, stepper.taken
-        held = self._table(most)
+        check_at, since = WINDOW, stepper.steps_taken
+        table = self._table(most)
         while stepper.newest < times.end:
             if keeps_checkpoint:
-                self._before = stepper.checkpoint(), held
+                self._before = stepper.checkpoint(), table
                 self._yielded = 0
-            block = stepper.samples(times, held, check_at - (stepper.taken - since), most)
+            block = stepper.samples(times, table, check_at - (stepper.steps_taken - since), most)
             if len(block.rows):
                 yield block.rows
-            self._end = held, block.intervals
+            self._end = table, block.intervals
             if stepper.newest == times.end:
                 break
-            held = self._remaining_inputs(held, block, most)
+            table = self._remaining_inputs(table, block, most)
             if block.is_stuck:
-                self._step_alone(held)
-            if stepper.taken - since >= check_at:
-                watch.check(stepper.state, held.values[0], times.last)
-                since = stepper.taken
+                self._step_alone(table)
+            if stepper.steps_taken - since >= check_at:
+                watch.check(stepper.state, table.values[0], times.last)
+                since = stepper.steps_taken
             most = min(2 * most, _MOST)
 
     def full_run(self, first: Array) -> Callable[[], Array | None]:
-        """Return a function that computes the full run at once, see `BlockStepper.whole`."""
-        held = self._table(self._times.end)
-        if held.until[-1] < self._times.last:
+        """Return a function that computes the full run at once, see `BlockStepper.full_run`."""
+        table = self._table(self._times.end)
+        if table.until[-1] < self._times.last:
             return lambda: None
-        take = self.stepper.whole(self._at.y, first, self._times, held, WINDOW)
+        take = self.stepper.full_run(self._at.y, first, self._times, table, WINDOW)
 
         def compute() -> Array | None:
-            self._end = held, None
+            self._end = table, None
             return take()
 
         return compute
@@ -248,36 +248,40 @@ class SampleBlocks:
         """Return progress, number of steps and stepper memory at the newest yielded sample."""
         stepper = self.stepper
         if self._before is None:
-            return self.progress, stepper.taken, stepper.checkpoint()
-        memory, held = self._before
+            return self.progress, stepper.steps_taken, stepper.checkpoint()
+        memory, table = self._before
         after = stepper.checkpoint()
         stepper.restore(memory, memory["last"])
-        block = stepper.samples(self._times, held, 2**62, self._yielded)
-        checkpoint = self._progress(held, block.intervals), stepper.taken, stepper.checkpoint()
+        block = stepper.samples(self._times, table, 2**62, self._yielded)
+        checkpoint = (
+            self._progress(table, block.intervals),
+            stepper.steps_taken,
+            stepper.checkpoint(),
+        )
         stepper.restore(after, after["last"])
         return checkpoint
 
-    def _progress(self, held: HeldTable, interval: int | None) -> Progress:
+    def _progress(self, table: HeldTable, interval: int | None) -> Progress:
         """Return the progress in an interval of constant inputs, None for the last one."""
         stepper = self.stepper
         if interval is None:
-            interval = int(np.searchsorted(held.now, stepper.state.t, side="right")) - 1
-        now = held.until[-1] if interval == len(held.now) else held.now[interval]
+            interval = int(np.searchsorted(table.now, stepper.state.t, side="right")) - 1
+        now = table.until[-1] if interval == len(table.now) else table.now[interval]
         return Progress(self._origin, stepper.newest, stepper.state, stepper.is_within, float(now))
 
-    def _step_alone(self, held: HeldTable) -> None:
+    def _step_alone(self, table: HeldTable) -> None:
         """Take one step outside blocks, to the next sample at most if it cannot span samples."""
         stepper, sample, times = self.stepper, self.stepper.newest, self._times
         end = times.due(sample + 1)
         if stepper.spans_samples and not stepper.ends_at_samples:
-            now = float(held.now[0])
+            now = float(table.now[0])
             end = step_end(stepper.state, sample, times, now, stepper.is_fixed)
-        y = self._alone(stepper.state, held.values[0], min(end, float(held.until[0])))
+        y = self._alone(stepper.state, table.values[0], min(end, float(table.until[0])))
         stepper.begin_samples(y, sample, is_within=True)
 
-    def _remaining_inputs(self, held: HeldTable, block: SampleBlock, most: int) -> HeldTable:
+    def _remaining_inputs(self, table: HeldTable, block: SampleBlock, most: int) -> HeldTable:
         """Return the inputs from the end of a block on."""
-        remaining = HeldTable(*(rows[block.intervals :] for rows in held))
+        remaining = HeldTable(*(rows[block.intervals :] for rows in table))
         enough = self._times.due(self.stepper.newest + most)
         until = remaining.until
         if len(until) and (until[-1] >= enough or len(until) > _ROWS // 2):

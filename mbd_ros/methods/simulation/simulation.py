@@ -116,7 +116,7 @@ class Simulation(CheckedSteps):
         if isinstance(stepper, BlockStepper) and stepper.takes_blocks:
             self._blocks = SampleBlocks(stepper, self.system, times, at, self._step)
             for x in self._blocks.states(StallWatch(self.system, self.dt, notice)):
-                self.steps = stepper.taken
+                self.steps = stepper.steps_taken
                 yield x
             self._progress, self._blocks = self._blocks.progress, None
             return
@@ -173,7 +173,7 @@ class Simulation(CheckedSteps):
             self._table = RunTable(x, duration, self.system.expand(first), begin)
         rows = self._table.rows(StallWatch(self.system, self.dt))
         self._blocks = self._table.blocks
-        self.steps = self._blocks.stepper.taken
+        self.steps = self._blocks.stepper.steps_taken
         return rows
 
     def checkpoint(self) -> Checkpoint:

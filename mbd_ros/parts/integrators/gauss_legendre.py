@@ -42,7 +42,7 @@ class GaussLegendre(Integrator):
     dense: ClassVar[bool] = True
     event_driven: ClassVar[bool] = True
     is_explicit = False
-    asks = ("accelerate", "derivatives")
+    compiled_functions = ("accelerate", "derivatives")
     example = {"stages": 2}
 
     def __init__(self, *, stages: int = 2, tolerance: float = 1.0e-10) -> None:

@@ -40,7 +40,7 @@ class GeneralizedAlpha(Integrator):
     order = 2
     keeps_constraints = True
     is_explicit = False
-    asks = ("accelerate", "balance", "balance_slopes")
+    compiled_functions = ("accelerate", "balance", "balance_slopes")
     example = {"spectral_radius": 0.9}
 
     def __init__(self, *, spectral_radius: float = 0.9, tolerance: float = 1.0e-10) -> None:
