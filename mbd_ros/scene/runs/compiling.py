@@ -118,7 +118,9 @@ def _compiled(
         from mbd_ros.compiled.runs.compiled_method import CompiledMethod
         from mbd_ros.compiled.runs.implicit_method import ImplicitMethod
 
-        method_of: Callable[..., Any] = ImplicitMethod if method.compiled_functions else CompiledMethod
+        method_of: Callable[..., Any] = (
+            ImplicitMethod if method.compiled_functions else CompiledMethod
+        )
         steps: CompiledMethod | ImplicitMethod = method_of(method, correction, *more)
         steps.refuse(system)  # in these words, before anything else speaks of the method
         return steps, Simulation(system, steps, correction, dt)
