@@ -36,7 +36,7 @@ from mbd_ros.features.sampling.sampled_scene import (
     row_swept,
     sampled_scene,
 )
-from mbd_ros.features.sampling.space import HeldSpace, WeightedSpace
+from mbd_ros.features.sampling.space import FixedCoordinateSpace, WeightedSpace
 from mbd_ros.features.sampling.task import SampleTask
 from mbd_ros.files.text_file import replacing
 from mbd_ros.jobs.progress import progress
@@ -160,7 +160,7 @@ class SamplingProblem:
         if level is None:
             return Ensemble(self.sampled.space, self.kT, fixman=self.task.fixman)
         assert self.coordinate is not None
-        return Ensemble(HeldSpace(self._swept, self.coordinate, level), self.kT)
+        return Ensemble(FixedCoordinateSpace(self._swept, self.coordinate, level), self.kT)
 
     def _instant(self, ensemble: Ensemble, at: Walkers) -> Array:
         space, fixman = self._swept, self.task.fixman

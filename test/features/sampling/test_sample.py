@@ -112,7 +112,7 @@ def test_a_row_as_coordinate_is_swept(capsys):
         ((TRIMER, "--temperature", 1, "--chains", 1), "sample.chains: 1 is out of range"),
         ((TRIMER, "--temperature", 1, "--friction", 1), "metropolis has none"),
         ((TRIMER, "--temperature", 1, "--observe", "distance A Z"), "no particle 'Z'"),
-        ((TRIMER, "--temperature", 1, "--observe", "bend A B"), "'bend A B' is no quantity"),
+        ((TRIMER, "--temperature", 1, "--observe", "bend A B"), "'bend A B' is not a quantity"),
         ((TRIMER, "--temperature", 1, "--coordinate", "distance A C"), "coordinate and at go"),
         ((TRIMER, "--temperature", 1, "--samples", 7), "sample.samples: 7 is out of range"),
         (
