@@ -129,7 +129,7 @@ class RunMemory:
             keeps_history: Whether it is the last one but for corrections.
         """
         if self._form is not None:
-            x = self._form.turned(x)
+            x = self._form.to_world(x)
         self._numbers[self._at[Field.T]] = x.t
         self._q[...], self._v[...] = x.q, x.v
         if self._z.size:
@@ -159,7 +159,7 @@ class RunMemory:
     def _turned_back(self, t: float, q: Array, v: Array, z: Array) -> State:
         """A state of the system from numbers of the run, which it keeps."""
         x = State(t, q, v, z if z.size else NONE)
-        return x if self._form is None else self._form.turned_back(x)
+        return x if self._form is None else self._form.from_world(x)
 
 
 class NativeRun(RunMemory):

@@ -188,11 +188,12 @@ class ImpulseResponse:
     def _respond(self, J: Array) -> None:
         self.X, hold, factor = self.free(J.T), self._hold, self._factor
         self.loose = np.einsum("ij,ji->i", J, self.X)
-        self._held = np.zeros((len(hold), len(J)))
+        self._bilateral_answer = np.zeros((len(hold), len(J)))
         for _ in range(_PROJECTIONS if factor is not None else 0):
             assert factor is not None
-            held = factor.solve(hold.dot(self.X))
-            self._held, self.X = self._held + held, self.X - factor.X.dot(held)
+            answer = factor.solve(hold.dot(self.X))
+            self._bilateral_answer = self._bilateral_answer + answer
+            self.X = self.X - factor.X.dot(answer)
         self.A = J.dot(self.X)
 
     @property
@@ -206,7 +207,7 @@ class ImpulseResponse:
         v: Array = self._mass.solve(impulse).reshape(impulse.shape)  # eigenpy flattens one column
         return v
 
-    def kept(self, v: Array, goal: Array) -> tuple[Array, Array]:
+    def constrain(self, v: Array, goal: Array) -> tuple[Array, Array]:
         """Return the nearest velocity with J_b v = goal, and the bilateral impulses for it."""
         if self._factor is None:
             return v, goal
@@ -215,4 +216,4 @@ class ImpulseResponse:
 
     def bilateral(self, p: Array) -> Array:
         """Return bilateral impulses that answer those of the rows, shape (m_b,)."""
-        return -self._held.dot(p)
+        return -self._bilateral_answer.dot(p)

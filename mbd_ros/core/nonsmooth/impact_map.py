@@ -81,7 +81,7 @@ class ImpactMap:
             hold, goal = self._rigid.jacobian(x.t, x.q), -self._rigid.rate(x.t, x.q)
             factor = self._rigid.factorise(M, hold)
         response = ImpulseResponse(M, J, hold, factor)
-        v, held = response.kept(x.v, goal)
+        v, held = response.constrain(x.v, goal)
         approach, speed = J.dot(v) + rate, max(float(v.dot(M).dot(v)), 0.0) ** 0.5
         e = self._restitution[slots] if expands else np.zeros(len(slots))
         impulse, share = self._impulses(slots, response, cones, e, approach, speed)
@@ -108,8 +108,8 @@ class ImpactMap:
         G = response.G
         pushing = PushImpulses(G, response.loose, names)
         impulse = pushing.solve(approach, speed)
-        if (given_back := e * impulse).any():
-            impulse = impulse + given_back
+        if (restored := e * impulse).any():
+            impulse = impulse + restored
             impulse += pushing.solve(approach + G.T.dot(G.dot(impulse)), speed)
         return impulse, 1.0
 

@@ -1,6 +1,6 @@
 """Loads and internal states in a step that solves for them with their slopes.
 
-    M dv = h f + J' p,   dz = h r,   f and r at shares s / h of dv, dz and of the way on the step
+    M dv = h f + J' p,   dz = h r,   f and r at shares s / h of the step
 
 With f' = s f_v + s^2 f_q and r' = s r_v + s^2 r_q one step of Newton's method gives
 

@@ -18,8 +18,8 @@ of the loads, so that stiff ones do not limit h; `implicit_loads` has K with int
 
 Where rows close faster than the forces of one step make them, an impact divides the step where the
 first of them closes. What is beyond a one-sided row nevertheless is moved out of it, in the mass
-metric. A slip that ends so early in a step that friction would do work along the way divides the
-step, too, and so does a body that turns far beside a contact.
+metric. A slip that ends so early in a step that friction would do work along the rest of it divides
+the step, too, and so does a body that turns far beside a contact.
 
 Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
@@ -56,7 +56,7 @@ _TURN = 0.5  # rad, on which rows of a contact change by little
 _PARTS = 100  # of a step at most
 _SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which a slip that ends early is looked at
 _WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
-_TOGETHER = 1.0e-6  # of the way of the fastest row in a step: gaps that close at one time
+_TOGETHER = 1.0e-6  # of the change of the fastest gap in a step: gaps that close at one time
 _MOVES = 4  # out of rows; each leaves the square of what the last one left
 _NEAR = 10.0  # gaps that count while others are closed, of how far one of these is beyond 0
 
@@ -101,7 +101,7 @@ class MoreauJeanStep:
             SolveError: Rows contradict one another.
             DivergedError: Forces are not finite.
         """
-        self._rows.begin(y.q)
+        self._rows.start_from(y.q)
         posed = self._pose(y, u, h)
         parts = self._parts(posed[0])
         if parts == 1:
@@ -113,9 +113,9 @@ class MoreauJeanStep:
 
     def _parts(self, problem: StepProblem) -> int:
         """Into how many parts a step is divided, so that no body turns far beside a contact."""
-        if not problem.acting.cones:
+        if not problem.row_set.cones:
             return 1
-        turn = problem.h * max(self._rows.turning(v) for v in (problem.x.v, problem.free))
+        turn = problem.h * max(self._rows.turn_rate(v) for v in (problem.x.v, problem.free))
         return max(1, math.ceil(min(turn / _TURN, _PARTS)))
 
     def _advance(
@@ -161,22 +161,22 @@ class MoreauJeanStep:
         K = mass_with(M, slopes.added) if slopes.added.any() else M
         hold, goal, factor = self._bilateral(x, K, late, h)
         held = ImpulseResponse(K, None, hold, factor)
-        free, _ = held.kept(x.v + held.free(impulse), goal)
-        acting, J, drift, gap, own = self._rows.at(x, free, h)
+        free, _ = held.constrain(x.v + held.free(impulse), goal)
+        row_set, J, drift, gap, own = self._rows.at(x, free, h)
         drift = self._drift(x, J, drift)
         still = slopes.gain.dot(dz) - slopes.by_v.dot(x.v)
         known = goal, free, h, self._theta, slopes, still
         if not len(gap):
-            return StepProblem(x, M, held, acting, J, gap, own, own, own, *known)
+            return StepProblem(x, M, held, row_set, J, gap, own, own, own, *known)
         with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
-            back = np.minimum(self._return[1][acting.at], 1.0 / h)
-            back = np.where(acting.pushes, 0.0, back * gap)
+            back = np.minimum(self._return[1][row_set.at], 1.0 / h)
+            back = np.where(row_set.pushes, 0.0, back * gap)
         early = self._theta * h  # from the start to the state where J and drift are known
         rate = J.dot(x.v) + own - early * drift
         gap = gap - early * (rate + 0.5 * early * drift)
         bend, response = late * drift, self._rows.response(held, K, J)
         end = own + bend + back
-        return StepProblem(x, M, response, acting, J, gap, rate, end, bend, *known)
+        return StepProblem(x, M, response, row_set, J, gap, rate, end, bend, *known)
 
     def _bilateral(
         self, x: State, K: Array, late: float, h: float
@@ -196,9 +196,9 @@ class MoreauJeanStep:
         self, problem: StepProblem, closed: Which, y: State, u: Array | None
     ) -> tuple[StepProblem, Array]:
         """Return the problem with forces on the way to its end, and the velocity there."""
-        end = self.row_solver.end(problem, closed, problem.free)
+        end = self.row_solver.solve(problem, closed, problem.free)
         problem = self._correct_forces(problem, y, u, end)
-        return problem, self.row_solver.end(problem, closed, problem.free, end)
+        return problem, self.row_solver.solve(problem, closed, problem.free, end)
 
     def _correct_forces(
         self, problem: StepProblem, y: State, u: Array | None, end: Array
@@ -210,7 +210,7 @@ class MoreauJeanStep:
         left_z = h * loads.rates(x, u) - dz
         left = h * self._force(x, u, problem.M) - problem.M.dot(end - v) + slopes.push.dot(left_z)
         response = problem.response
-        free, _ = response.kept(end + response.free(left), problem.goal)
+        free, _ = response.constrain(end + response.free(left), problem.goal)
         still = dz + slopes.gain.dot(left_z) - slopes.by_v.dot(end)
         return problem._replace(free=free, dz_still=still)
 
@@ -237,18 +237,18 @@ class MoreauJeanStep:
     ) -> tuple[State, float]:
         """State after the next impact of a step, and what is left of it [s]; adds to what met."""
         v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
-        end = self.row_solver.pushed(problem, closed & ~hits, problem.free)
+        end = self.row_solver.solve_active(problem, closed & ~hits, problem.free)
         gained = (end - v) / h
         bent = problem.J.dot(gained)
         wait = min(first_closing(gap[hits], rate[hits], bent[hits]), _WHOLE * h)
         at = gap + wait * rate + 0.5 * wait**2 * bent
         touching = closed & (at <= _TOGETHER * h * np.abs(rate[hits]).max())
-        met.append(self._slots[problem.acting.at[touching[problem.acting.decides]]].tolist())
+        met.append(self._slots[problem.row_set.at[touching[problem.row_set.decides]]].tolist())
         expands = len(met) <= _IMPACTS
         slots = met[-1] if expands else list(chain(*met))
         before = v + wait * gained
-        way, dz = 0.5 * wait * (v + before), wait / h * problem.dz(end)
-        y = self._move(y, way, before, dz, y.t + wait)
+        displacement, dz = 0.5 * wait * (v + before), wait / h * problem.dz(end)
+        y = self._move(y, displacement, before, dz, y.t + wait)
         v = self._impacts.impact(self._system.expand(y), slots, expands=expands).v
         return y._replace(v=np.array(self._system.integrated(v))), h - wait
 
@@ -263,13 +263,13 @@ class MoreauJeanStep:
 
     def _finish(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
         """Return the state at the end of a step: q+ = q (+) h ((1 - theta) v + theta v+)."""
-        way = problem.h * ((1.0 - self._theta) * problem.x.v + self._theta * end)
+        displacement = problem.h * ((1.0 - self._theta) * problem.x.v + self._theta * end)
         dz = problem.dz(end)
-        correction = self.row_solver.way_correction(problem, end)
+        correction = self.row_solver.displacement_correction(problem, end)
         if correction is not None:
-            energy, ways = self._system.energy, (way, way - correction)
-            way = min(ways, key=lambda w: energy(self._move(y, w, end, dz, t)))
-        return self._move(y, way, end, dz, t)
+            energy, candidates = self._system.energy, (displacement, displacement - correction)
+            displacement = min(candidates, key=lambda w: energy(self._move(y, w, end, dz, t)))
+        return self._move(y, displacement, end, dz, t)
 
     def _correct_positions(self, y: State) -> State:
         """Return the state with no one-sided row beyond 0, moved the least in the mass metric."""
@@ -277,18 +277,18 @@ class MoreauJeanStep:
             return y
         for _ in range(_MOVES):
             x = self._system.expand(y)
-            way = self._correction.way(x)
-            if way is None:
+            displacement = self._correction.displacement(x)
+            if displacement is None:
                 break
-            y = self._move(y, way, x.v, 0.0 * y.z, y.t)
+            y = self._move(y, displacement, x.v, 0.0 * y.z, y.t)
         return y
 
-    def _move(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
-        """Return a state of what is integrated, after a way and with a velocity of all joints."""
+    def _move(self, y: State, displacement: Array, v: Array, dz: Array, t: float) -> State:
+        """Return the state after a displacement, with a velocity of all joints."""
         system = self._system
-        q = system.chart.integrate(y.q, system.integrated(way))
+        q = system.chart.integrate(y.q, system.integrated(displacement))
         z = system.internals.inside(y.z + dz)
-        self._rows.moved(q, way)
+        self._rows.record_displacement(q, displacement)
         return State(t, q, np.array(system.integrated(v)), z, y.mode)
 
 
@@ -317,35 +317,35 @@ class FreeBodyStep(MoreauJeanStep):
         before = self._axes = self._integrated.axes(y.q)
         x = self._intermediate_with(y, y.v, y.z, h)
         self._axes, self._q = self._bodies.axes(x.q), x.q
-        return x._replace(v=self._bodies.turned(x.v, before, self._axes))
+        return x._replace(v=self._bodies.in_axes(x.v, before, self._axes))
 
     def _intermediate_with(self, y: State, v: Array, z: Array, h: float) -> State:
         """State of all joints at the intermediate time, of a step with that mean velocity of y."""
         share, system = self._theta * h, self._system
-        q = self._integrated.moved(system.chart, y.q, share * v, self._axes)
+        q = self._integrated.integrate(system.chart, y.q, share * v, self._axes)
         return system.expand(State(y.t + share, q, v, z))
 
     def _force(self, x: State, u: Array | None, M: Array) -> Array:
         """Generalized force of all joints that changes velocities as a step counts them."""
         bodies, axes = self._bodies, self._axes
-        turning: Array = M.dot(bodies.turning(x.v))
+        turning: Array = M.dot(bodies.spin_acceleration(x.v))
         if x.q is self._q:
             return super()._force(x, u, M) + turning
         own = bodies.axes(x.q)
-        force = super()._force(x._replace(v=bodies.turned(x.v, axes, own)), u, M)
-        return bodies.turned(force, own, axes) + turning
+        force = super()._force(x._replace(v=bodies.in_axes(x.v, axes, own)), u, M)
+        return bodies.in_axes(force, own, axes) + turning
 
     def _drift(self, x: State, J: Array, drift: Array) -> Array:
         """Return the part of g'' without the change of velocities as a step counts them."""
-        left: Array = drift - J.dot(self._bodies.turning(x.v))
+        left: Array = drift - J.dot(self._bodies.spin_acceleration(x.v))
         return left
 
-    def _move(self, y: State, way: Array, v: Array, dz: Array, t: float) -> State:
-        """Return a state of what is integrated, after a way and with a velocity of all joints."""
+    def _move(self, y: State, displacement: Array, v: Array, dz: Array, t: float) -> State:
+        """Return the state after a displacement, with a velocity of all joints."""
         system, bodies = self._system, self._integrated
-        q = bodies.moved(system.chart, y.q, system.integrated(way), self._axes)
-        self._rows.moved(q, way)
-        v = bodies.turned(system.integrated(v), self._axes, bodies.axes(q))
+        q = bodies.integrate(system.chart, y.q, system.integrated(displacement), self._axes)
+        self._rows.record_displacement(q, displacement)
+        v = bodies.in_axes(system.integrated(v), self._axes, bodies.axes(q))
         return State(t, q, v, system.internals.inside(y.z + dz), y.mode)
 
     def _finish(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
@@ -402,7 +402,7 @@ class PositionCorrection:
         self._rows = rows
         self._no_rows = np.zeros((0, int(mechanism.model.nv)))
 
-    def way(self, x: State) -> Array | None:
+    def displacement(self, x: State) -> Array | None:
         """Return the displacement of all joints, shape (nv,); None where no row is beyond 0."""
         rows, rigid = self._rows, self._rigid
         gap = rows.gaps(x)
@@ -417,7 +417,7 @@ class PositionCorrection:
         if len(near) == 1 and response.A[0, 0] > HELD_BY_ROWS * response.loose[0]:
             alone: Array = response.X[:, 0] * (-least / float(response.A[0, 0]))
             return alone
-        names = [rows.every.names[i] for i in near]
+        names = [rows.all_rows.names[i] for i in near]
         p, _ = PushImpulses(response.G, response.loose, names).nearest(gap[near], 0.0)
         together: Array = response.X.dot(p)
         return together

@@ -12,7 +12,7 @@ from mbd_ros.core.complementarity.contact_problem import ContactProblem
 from mbd_ros.core.dynamics.chart import Chart
 from mbd_ros.core.dynamics.mechanism import Mechanism
 from mbd_ros.core.nonsmooth.implicit_loads import ImplicitLoads
-from mbd_ros.core.nonsmooth.unilateral_rows import every
+from mbd_ros.core.nonsmooth.unilateral_rows import all_rows
 from mbd_ros.core.rows.constraint_rows import ConstraintRows
 from mbd_ros.core.state import Array, State
 
@@ -61,7 +61,7 @@ def time_step(
     rate = J.dot(v) + offset - h * drift  # at the start of the step
     gap = rows.residual(k, middle) - early * (rate + 0.5 * early * drift)
     gap = gap + late * rate  # at the end of the step if w is 0
-    kinds = every(rows)
+    kinds = all_rows(rows)
     closes = (gap + early * (J.dot(free) + offset) <= 0.0) | ~kinds.pushes
     on = np.flatnonzero(closes[kinds.decides])
     chosen, J, offset = kinds.chosen(on), J[on], offset[on]

@@ -41,14 +41,14 @@ class StepProblem(NamedTuple):
         x: State of all joints at its intermediate time, with the velocity of the start.
         M: Their mass matrix there.
         response: To impulses of the rows that give way.
-        acting: Which rows these are.
+        row_set: Which rows these are.
         J: Their Jacobian, shape (m, nv).
         gap: Their g at the start of the step, shape (m,).
         rate: Their g' with the velocity of the start, shape (m,).
         offset: Their g' at the end of the step, without J v, shape (m,).
         bend: What of that comes from the change of J, shape (m,).
         goal: J v of the bilateral rows at the end of the step.
-        free: Velocity at the end without rows that give way, shape (nv,).
+        free: Velocity at the end without unilateral and bounded rows, shape (nv,).
         h: Length of the step [s].
         theta: Share of the velocity at its end in the mean one.
         slopes: Of loads and internal states.
@@ -58,7 +58,7 @@ class StepProblem(NamedTuple):
     x: State
     M: Array
     response: ImpulseResponse
-    acting: Acting
+    row_set: RowSet
     J: Array
     gap: Array
     rate: Array
@@ -83,14 +83,14 @@ class StepProblem(NamedTuple):
 
     @property
     def at_end(self) -> Array:
-        """The g' at the end of the step without rows that give way, shape (m,)."""
+        """The g' at the end of the step without unilateral and bounded rows, shape (m,)."""
         return self.J.dot(self.free) + self.offset
 
     def closed(self) -> Which:
         """One-sided rows that would be closed at the end of the step."""
         if not len(self.gap):
-            return self.acting.pushes
-        return self.acting.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
+            return self.row_set.pushes
+        return self.row_set.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
 
     def hits(self, closed: Which) -> Which:
         """Return closed rows that approach faster than the forces of one step make them."""
@@ -106,9 +106,9 @@ class StepProblem(NamedTuple):
     def passed(self, end: Array) -> Which:
         """One-sided rows that a velocity at the end of the step would take beyond 0."""
         left = self.left + self.h * self.theta * (self.J.dot(end) + self.offset)
-        return self.acting.pushes & (left < -self.h * self.slight(self.free))
+        return self.row_set.pushes & (left < -self.h * self.slight(self.free))
 
-    def asked(self, on: NDArray[np.intp], free: Array) -> Array:
+    def required_rates(self, on: NDArray[np.intp], free: Array) -> Array:
         """The g' of some rows at the end of the step, less what they may keep, shape (len(on),).
 
         Args:
@@ -128,7 +128,7 @@ class StepProblem(NamedTuple):
     def rates_left(self, on: NDArray[np.intp]) -> Array:
         """Return g' that rows may keep, since gaps are left at the end, shape (len(on),)."""
         room = np.maximum(self.left[on], 0.0) / (self.h * self.theta)
-        return np.where(self.acting.pushes[on], room, 0.0)
+        return np.where(self.row_set.pushes[on], room, 0.0)
 
 
 class UnilateralSolver:
@@ -140,7 +140,7 @@ class UnilateralSolver:
     Attributes:
         last: What the next problem begins with; empty where it begins with nothing.
         shared: Which rows `last` is of and what their A was, if it is of least norm; else empty.
-        worst: The largest residuals of contacts since `forget`; None without contacts.
+        worst: The largest residuals of contacts since `reset_residuals`; None without contacts.
         forces: Mean forces of contacts in the last step; None without contacts.
     """
 
@@ -151,7 +151,7 @@ class UnilateralSolver:
         self.worst: Any = None
         self.forces: Array | None = None
 
-    def forget(self) -> None:
+    def reset_residuals(self) -> None:
         """Begin to look for the largest residuals anew."""
 
     def early_slips(self, problem: StepProblem, end: Array) -> Slots | None:
@@ -165,11 +165,11 @@ class UnilateralSolver:
     def accept(self) -> None:
         """Go on from the step that `early_slips` looked at."""
 
-    def way_correction(self, problem: StepProblem, end: Array) -> Array | None:
-        """What is taken from the way of the step [m, rad], shape (nv,); without contacts None."""
+    def displacement_correction(self, problem: StepProblem, end: Array) -> Array | None:
+        """What is taken from the displacement of the step [m, rad], shape (nv,); without contacts None."""
         return None
 
-    def end(
+    def solve(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:
         """Return the velocity at the end of the step, from that without rows that give way.
@@ -181,13 +181,13 @@ class UnilateralSolver:
         """
         if not len(closed):
             return free + 0.0
-        return self.pushed(problem, closed, free, near)
+        return self.solve_active(problem, closed, free, near)
 
-    def pushed(
+    def solve_active(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:
         """Velocity at the end of the step if no other rows push; arguments as for `end`."""
-        on = np.flatnonzero((closed | ~problem.acting.pushes)[problem.acting.decides])
+        on = np.flatnonzero((closed | ~problem.row_set.pushes)[problem.row_set.decides])
         return free + self._change(problem, on, free)
 
     def _change(self, problem: StepProblem, on: NDArray[np.intp], free: Array) -> Array:
@@ -198,13 +198,13 @@ class UnilateralSolver:
         """
         if not len(on):
             return np.zeros(len(free))
-        response, acting = problem.response, problem.acting
-        of = response.A[np.ix_(on, on)], response.loose[on], [acting.names[i] for i in on]
-        b, speed = problem.asked(on, free), problem.speed(free)
-        if acting.pushes[on].all():
+        response, row_set = problem.response, problem.row_set
+        of = response.A[np.ix_(on, on)], response.loose[on], [row_set.names[i] for i in on]
+        b, speed = problem.required_rates(on, free), problem.speed(free)
+        if row_set.pushes[on].all():
             p = PushImpulses(response.G[:, on], *of[1:]).solve(b, speed)
         else:
-            p = BoundedImpulses(*of).solve(b, *self._bounds(problem, acting.at[on]), speed)
+            p = BoundedImpulses(*of).solve(b, *self._bounds(problem, row_set.at[on]), speed)
         change: Array = response.X[:, on].dot(p)
         return change
 
@@ -214,7 +214,7 @@ class UnilateralSolver:
 
 
 class StepRows:
-    """All rows that give way, in every step.
+    """All unilateral and bounded rows, in every step.
 
     Attributes:
         every: All of them.
@@ -224,27 +224,27 @@ class StepRows:
     def __init__(self, mechanism: Mechanism, rows: ConstraintRows) -> None:
         self._k = mechanism.k
         self.rows = rows
-        self.every = every(rows)
-        self.are_one_sided = bool(self.every.pushes.any())
+        self.all_rows = all_rows(rows)
+        self.are_one_sided = bool(self.all_rows.pushes.any())
         self._of_g, self._of_J = (
             min(rows.reads, reads) for reads in (Reads.POSITION, Reads.JACOBIAN)
         )
 
-    def turning(self, v: Array) -> float:
+    def turn_rate(self, v: Array) -> float:
         """Return how fast bodies beside contacts turn with a velocity of all joints [rad/s]."""
         return 0.0
 
-    def begin(self, q: Array) -> None:
+    def start_from(self, q: Array) -> None:
         """Learn from which configuration of what is integrated a step starts."""
 
-    def moved(self, q: Array, way: Array) -> None:
+    def record_displacement(self, q: Array, displacement: Array) -> None:
         """Learn to which configuration all joints moved, and how far, shape (nv,)."""
 
     def at(self, x: State, free: Array, h: float) -> RowsAt:
         """Return the rows at a state of all joints, with bounds that are those of it.
 
         Args:
-            x: The state, on the way of a step.
+            x: The state, within a step.
             free: Velocity at its end without the rows, shape (nv,).
             h: Its length [s].
         """
@@ -253,7 +253,7 @@ class StepRows:
         if rows.varies:
             rows.limit(k, x)
         J, drift = (each.copy() for each in rows.accelerations(k, x))
-        return RowsAt(self.every, J, drift, rows.residual(k, x), rows.rate(k, x))
+        return RowsAt(self.all_rows, J, drift, rows.residual(k, x), rows.rate(k, x))
 
     def gaps(self, x: State) -> Array | None:
         """Return g of one-sided rows at a state of all joints, shape (m,); inf for other rows.
@@ -262,9 +262,9 @@ class StepRows:
             None where no row may be beyond 0.
         """
         self._k.refresh(x.q, x.v, self._of_g)
-        return np.where(self.every.pushes, self.rows.residual(self._k, x), np.inf)
+        return np.where(self.all_rows.pushes, self.rows.residual(self._k, x), np.inf)
 
-    def response(self, held: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
+    def response(self, without_rows: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:
         """Return how impulses of the rows move the joints.
 
         Args:
@@ -272,7 +272,7 @@ class StepRows:
             K: Its mass matrix, shape (nv, nv).
             J: The rows, shape (m, nv).
         """
-        return held.of(J)
+        return without_rows.of(J)
 
     def jacobian(self, x: State, on: NDArray[np.intp]) -> Array:
         """Return some rows of dg/dq at a state of all joints."""
@@ -284,25 +284,25 @@ class RowsAt(NamedTuple):
     """Rows at one state.
 
     Attributes:
-        acting: Which they are.
+        row_set: Which they are.
         J: Their Jacobian, shape (m, nv).
         drift: Their J' v, shape (m,).
         gap: Their g, shape (m,).
         own: Their g' without J v, shape (m,).
     """
 
-    acting: Acting
+    row_set: RowSet
     J: Array
     drift: Array
     gap: Array
     own: Array
 
 
-class Acting(NamedTuple):
+class RowSet(NamedTuple):
     """Rows that may act in a step.
 
     Attributes:
-        at: Where they stand among all rows that give way, shape (m,).
+        at: Where they stand among all unilateral and bounded rows, shape (m,).
         names: One a row.
         pushes: Which are one-sided, normals of contacts among them, shape (m,).
         decides: Which row says whether it acts: of a contact its normal, else itself.
@@ -317,7 +317,7 @@ class Acting(NamedTuple):
     cones: tuple[Cone, ...]
     tangents: NDArray[np.intp]
 
-    def chosen(self, on: NDArray[np.intp]) -> Acting:
+    def chosen(self, on: NDArray[np.intp]) -> RowSet:
         """Return some of them; of a contact all rows or none.
 
         Args:
@@ -328,24 +328,24 @@ class Acting(NamedTuple):
         starts = [(cone, int(own[cone.slots.start])) for cone in self.cones]
         cones = (c._replace(slots=slice(start, start + 3)) for c, start in starts if start >= 0)
         names = [self.names[i] for i in on.tolist()]
-        return _acting(self.at[on], names, self.pushes[on], tuple(cones))
+        return _row_set(self.at[on], names, self.pushes[on], tuple(cones))
 
 
-def _acting(
+def _row_set(
     at: NDArray[np.intp], names: list[str], pushes: Which, cones: tuple[Cone, ...]
-) -> Acting:
+) -> RowSet:
     decides = np.arange(len(at))
     for cone in cones:
         decides[cone.slots] = cone.slots.start
     tangents = np.flatnonzero(decides != np.arange(len(at)))
-    return Acting(at, names, pushes, decides, cones, tangents)
+    return RowSet(at, names, pushes, decides, cones, tangents)
 
 
-def every(rows: ConstraintRows) -> Acting:
+def all_rows(rows: ConstraintRows) -> RowSet:
     """Return all rows that give way."""
     pushes = np.zeros(len(rows.rows), dtype=np.bool_)
     for block, mine in zip(rows.blocks, rows.slices, strict=True):
         pushes[mine] = block.law.kind is Kind.UNILATERAL
     for cone in rows.cones:
         pushes[cone.slots.start] = True
-    return _acting(np.arange(len(pushes)), [row.name for row in rows.rows], pushes, rows.cones)
+    return _row_set(np.arange(len(pushes)), [row.name for row in rows.rows], pushes, rows.cones)

@@ -112,10 +112,10 @@ class TurnedSteps(AdaptedSteps):
         self._world = world
 
     def _adapted(self, x: State) -> State:
-        return self._world.turned(x)
+        return self._world.to_world(x)
 
     def _given(self, after: State) -> State:
-        return self._world.turned_back(after)
+        return self._world.from_world(after)
 
 
 class InternalSteps(AdaptedSteps):

@@ -166,7 +166,7 @@ class Stepper:
 
     @property
     def residuals(self) -> Any:
-        """Worst `Residuals` of contacts since the last `forget_residuals`; None without any."""
+        """Worst `Residuals` of contacts since the last `reset_residuals`; None without any."""
         return None
 
     @property
@@ -179,7 +179,7 @@ class Stepper:
         """Names of the guards that ended a phase in the last step; empty while it goes on."""
         return ()
 
-    def forget_residuals(self) -> None:
+    def reset_residuals(self) -> None:
         """Begin to look for the worst residuals anew."""
 
     def checkpoint(self) -> Memory:

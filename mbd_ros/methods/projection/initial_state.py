@@ -110,7 +110,7 @@ def _separate(system: System, y: State, size: float) -> State:
         M = np.array(mechanism.mass(x.q))
         hold = rigid.jacobian(x.t, x.q) if rigid.rows else np.zeros((0, nv))
         response = ImpulseResponse(M, J, hold, rigid.factorise(M, hold) if rigid.rows else None)
-        least, _ = response.kept(np.zeros(nv), hold.dot(x.v))
+        least, _ = response.constrain(np.zeros(nv), hold.dot(x.v))
         left = gap[near] + J.dot(least - x.v)
         rates = PushImpulses(response.G, response.loose, np.array(names)[near].tolist())
         push = rates.solve(left, 0.0)

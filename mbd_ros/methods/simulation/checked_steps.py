@@ -132,7 +132,7 @@ class CheckedSteps:
     def take_residuals(self) -> Residuals | None:
         """Return the worst contact residuals since the last call; None without contacts."""
         worst: Residuals | None = self.stepper.residuals
-        self.stepper.forget_residuals()
+        self.stepper.reset_residuals()
         return worst
 
     def passed_stops(self) -> list[str]:

@@ -54,7 +54,7 @@ class _Steps(Stepper):
         """Forget the impulses and the residuals of earlier steps."""
         self.impulses, self.shared = np.zeros_like(self.impulses), ()
         self._at.row_solver.forces = None
-        self.forget_residuals()
+        self.reset_residuals()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
         """Advance by dt, or to `end` if that is nearer; x itself at or after `end`."""
@@ -89,6 +89,6 @@ class _Steps(Stepper):
         """Mean forces of rows that give way in the last step; None without contacts."""
         return self._at.row_solver.forces
 
-    def forget_residuals(self) -> None:
+    def reset_residuals(self) -> None:
         """Begin to look for the worst residuals anew."""
-        self._at.row_solver.forget()
+        self._at.row_solver.reset_residuals()
