@@ -80,7 +80,7 @@ class ContactSolver(UnilateralSolver):
     def solve(
         self, problem: StepProblem, closed: Which, free: Array, near: Array | None = None
     ) -> Array:
-        """Return the velocity at the end of the step; arguments as without contacts.
+        """Return the velocity at the end of the step.
 
         Rows that others push beyond 0 push, too.
         """
@@ -160,7 +160,7 @@ class ContactSolver(UnilateralSolver):
         return problem.h * float(parts.min())
 
     def accept(self) -> None:
-        """Go on from the step that `early_slips` looked at: those after it were tried only."""
+        """Accept the step that `early_slips` has searched; later ones were trials."""
         self.last[:], self.forces, self.shared = self._accepted
 
     def displacement_correction(self, problem: StepProblem, end: Array) -> Array | None:
@@ -196,7 +196,7 @@ class ContactSolver(UnilateralSolver):
         return displacement
 
     def reset_residuals(self) -> None:
-        """Begin to look for the largest residuals anew."""
+        """Set the largest residuals to 0."""
         self.worst = Residuals(0.0, 0.0, 0.0, 0.0)
 
     def _with_contacts(
@@ -452,12 +452,12 @@ class ContactScreening(StepRows):
         return float(np.linalg.norm(self._speed.turns * v))
 
     def start_from(self, q: Array) -> None:
-        """Learn from which configuration of what is integrated a step starts."""
+        """Take note of the configuration from which a step starts."""
         if q is not self._q:
             self._room[:] = self._speed.room[:] = self._spare = 0.0
 
     def record_displacement(self, q: Array, displacement: Array) -> None:
-        """Learn to which configuration all joints moved, and how far, shape (nv,)."""
+        """Take note of a displacement of all joints, shape (nv,), and where it leads."""
         self._q = q
         self._displacement = self._longer * displacement
         self._path += np.abs(self._displacement)

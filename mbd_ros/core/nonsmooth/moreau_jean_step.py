@@ -1,25 +1,26 @@
-"""The step of Moreau and Jean: velocities jump, and impacts, stick and gaps hold at its end.
+"""The Moreau-Jean time step: velocities jump, and impacts, stick and gaps hold at its end.
 
     M (v+ - v) = h f + J' p,   q+ = q (+) h ((1 - theta) v + theta v+)
 
 All rows are in one complementarity problem, with their rates w = J v+ at the end of the step:
 
-    bilateral   w = 0                                one-sided   p >= 0,  w >= 0,  p w = 0
+    bilateral   w = 0                                unilateral  p >= 0,  w >= 0,  p w = 0
     bounded     |p| <= h limit,  w = 0 inside        friction    p in its cone, against the slip
 
-A one-sided row is in it if its gap would close in the step. M and f are those of an intermediate
-state, at the time theta h with the velocity (1 - theta) v + theta v+. One step of Newton's method
-and a correction solve for v+, with the matrix
+A unilateral row takes part if its gap would close in the step. M and f are those of an
+intermediate state, at the time theta h with the velocity (1 - theta) v + theta v+. One step of
+Newton's method and a correction solve for v+, with the matrix
 
     K = M - theta h f_v - theta^2 h^2 f_q
 
-of the loads, so that stiff ones do not limit h; `implicit_loads` has K with internal states,
-`unilateral_rows` the linear problem and what solves it without friction, `contact_step` with it.
+of the loads, so that stiff loads do not limit h. `time_step` has the step on one page;
+`implicit_loads` computes K with internal states, `unilateral_rows` poses the linear problem and
+solves it without friction, `contact_step` with friction.
 
 Where rows close faster than the forces of one step make them, an impact divides the step where the
-first of them closes. What is beyond a one-sided row nevertheless is moved out of it, in the mass
-metric. A slip that ends so early in a step that friction would do work along the rest of it divides
-the step, too, and so does a body that turns far beside a contact.
+first of them closes. A negative gap that remains is corrected in the mass metric. A slip that ends
+so early in a step that friction would do work along the rest of it divides the step, too, and so
+does a body that turns far beside a contact.
 
 Sources: J. J. Moreau, in Nonsmooth Mechanics and Applications, 1988; M. Jean, Comput. Methods
 Appl. Mech. Eng. 177 (1999); V. Acary, Comput. Methods Appl. Mech. Eng. 256 (2013), on positions.
@@ -50,26 +51,26 @@ from mbd_ros.core.state import Array, State
 from mbd_ros.core.thresholds import HELD_BY_ROWS, LANDED
 from mbd_ros.errors import DivergedError
 
-_IMPACTS = 4  # of one step, which give back; what met rests at once in those after them
+_IMPACTS = 4  # with restitution in one step; later ones bring the rows that hit to rest together
 _TURNS = 3  # of slips in one step
-_TURN = 0.5  # rad, on which rows of a contact change by little
+_TURN = 0.5  # rad by which rows of a contact change little
 _PARTS = 100  # of a step at most
-_SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which a slip that ends early is looked at
-_WHOLE = 1.0 - 1.0e-6  # of a step, so that something is left of it
+_SHARES = (0.25, 0.0625, 0.015625)  # of a step, in which the end of an early slip is searched
+_WHOLE = 1.0 - 1.0e-6  # of a step, so that a part of it remains
 _TOGETHER = 1.0e-6  # of the change of the fastest gap in a step: gaps that close at one time
-_MOVES = 4  # out of rows; each leaves the square of what the last one left
-_NEAR = 10.0  # gaps that count while others are closed, of how far one of these is beyond 0
+_MOVES = 4  # position corrections; each squares the remaining error
+_NEAR = 10.0  # times the most negative gap: gaps that a position correction takes into account
 
 
 class MoreauJeanStep:
-    """Steps of one system; has a `Data` of its own.
+    """Time steps of one system; it owns a Pinocchio `Data`.
 
     Args:
         system: The system, under any tier.
         theta: From 1/2, of second order where motion is smooth, to 1, which damps most.
 
     Attributes:
-        row_solver: What solves for unilateral and bounded rows.
+        row_solver: Solver of unilateral and bounded rows.
     """
 
     def __init__(self, system: System, theta: float) -> None:
@@ -93,8 +94,8 @@ class MoreauJeanStep:
 
         Args:
             y: State at the start.
-            u: Inputs; None for safe ones.
-            h: Length [s].
+            u: Inputs; None for safe values.
+            h: Length of the step [s].
             t: Time at the end [s].
 
         Raises:
@@ -112,7 +113,7 @@ class MoreauJeanStep:
         return y
 
     def _parts(self, problem: StepProblem) -> int:
-        """Into how many parts a step is divided, so that no body turns far beside a contact."""
+        """Return the number of parts of a step in which no body turns far beside a contact."""
         if not problem.row_set.cones:
             return 1
         turn = problem.h * max(self._rows.turn_rate(v) for v in (problem.x.v, problem.free))
@@ -121,7 +122,15 @@ class MoreauJeanStep:
     def _advance(
         self, posed: tuple[StepProblem, Which], y: State, u: Array | None, t: float, turns: int
     ) -> State:
-        """The state after a part of a step, which slips that end may divide so many times more."""
+        """Return the state after a part of a step.
+
+        Args:
+            posed: Problem of the part, and its rows that would be closed.
+            y: State at its start.
+            u: Inputs.
+            t: Time at its end [s].
+            turns: How many times slips that end may divide it.
+        """
         problem, closed = posed
         h = problem.h
         met: list[list[int]] = []
@@ -138,7 +147,7 @@ class MoreauJeanStep:
         return self._correct_positions(self._finish(y, problem, end, t))
 
     def _pose(self, y: State, u: Array | None, h: float) -> tuple[StepProblem, Which]:
-        """Return the problem of a step without impacts, and its rows that would be closed."""
+        """Return the problem of a step without impacts, and its rows that would close."""
         problem = self._problem(y, u, h)
         return problem, problem.closed()
 
@@ -146,10 +155,10 @@ class MoreauJeanStep:
         """Return the linear problem of a step from a state of what is integrated.
 
             K (free - v) = h f + J_b' p_b,   J_b free = goal   without the other rows
-            w = J v+ + offset                                 their rates at the end
+            w = J v+ + offset                                 rates of the rows at the end
 
-        J and J' v are known at the intermediate time: gaps and rates follow from there to both
-        ends of the step, to second order.
+        J and its drift are those of the intermediate time; gaps and rates at both ends of the step
+        follow from there to second order.
         """
         mechanism, late = self._mechanism, (1.0 - self._theta) * h
         x = self._intermediate(y, h)
@@ -181,7 +190,7 @@ class MoreauJeanStep:
     def _bilateral(
         self, x: State, K: Array, late: float, h: float
     ) -> tuple[Array, Array, RowFactor | None]:
-        """Bilateral rows, their J v at the end of a step, and their factor in the metric of K."""
+        """Return bilateral rows, their J v at the end of a step, and their factor for K."""
         k, rows = self._mechanism.k, self._rigid.constraints
         if not self._rigid.rows:
             return *self._nothing, None
@@ -195,7 +204,7 @@ class MoreauJeanStep:
     def _solve(
         self, problem: StepProblem, closed: Which, y: State, u: Array | None
     ) -> tuple[StepProblem, Array]:
-        """Return the problem with forces on the way to its end, and the velocity there."""
+        """Solve with the forces on the way to the end; return that problem, and the velocity."""
         end = self.row_solver.solve(problem, closed, problem.free)
         problem = self._correct_forces(problem, y, u, end)
         return problem, self.row_solver.solve(problem, closed, problem.free, end)
@@ -219,7 +228,7 @@ class MoreauJeanStep:
         return self._intermediate_with(y, y.v, y.z, h)
 
     def _intermediate_with(self, y: State, v: Array, z: Array, h: float) -> State:
-        """State of all joints at the intermediate time, of a step with that mean velocity of y."""
+        """Return the state of all joints at the intermediate time, for a mean velocity of y."""
         share = self._theta * h
         q = self._system.chart.integrate(y.q, share * v)
         return self._system.expand(State(y.t + share, q, v, z))
@@ -235,7 +244,10 @@ class MoreauJeanStep:
     def _take_impact(
         self, problem: StepProblem, closed: Which, hits: Which, y: State, met: list[list[int]]
     ) -> tuple[State, float]:
-        """State after the next impact of a step, and what is left of it [s]; adds to what met."""
+        """Return the state after the next impact of a step, and the rest of the step [s].
+
+        The rows of the impact are appended to `met`.
+        """
         v, gap, rate, h = problem.x.v, problem.gap, problem.rate, problem.h
         end = self.row_solver.solve_active(problem, closed & ~hits, problem.free)
         gained = (end - v) / h
@@ -272,7 +284,7 @@ class MoreauJeanStep:
         return self._move(y, displacement, end, dz, t)
 
     def _correct_positions(self, y: State) -> State:
-        """Return the state with no one-sided row beyond 0, moved the least in the mass metric."""
+        """Return the nearest state without negative gaps, in the mass metric."""
         if not self._rows.are_one_sided:
             return y
         for _ in range(_MOVES):
@@ -296,13 +308,13 @@ class FreeBodyStep(MoreauJeanStep):
     """Steps of a system with free bodies, whose axes turn within a step.
 
     A velocity v of a free body stands in its own axes, so that it changes where the body turns:
-    v' = R' a - w x v. A step that counts this as a change of the motion errs by (w h)^2 of the
-    velocity of a ball that spins. Here the linear velocities of a step stand in the axes of its
-    intermediate state, where free bodies keep them.
+    v' = R' a - w x v. A step that integrates this change errs by (w h)^2 of the velocity of a ball
+    that spins. Here the linear velocities of a step are expressed in the axes of its intermediate
+    state, where free bodies keep them.
 
     Args:
         system: The system, under any tier.
-        theta: As of `MoreauJeanStep`.
+        theta: From 1/2, of second order where motion is smooth, to 1, which damps most.
     """
 
     def __init__(self, system: System, theta: float) -> None:
@@ -320,7 +332,7 @@ class FreeBodyStep(MoreauJeanStep):
         return x._replace(v=self._bodies.in_axes(x.v, before, self._axes))
 
     def _intermediate_with(self, y: State, v: Array, z: Array, h: float) -> State:
-        """State of all joints at the intermediate time, of a step with that mean velocity of y."""
+        """Return the state of all joints at the intermediate time, for a mean velocity of y."""
         share, system = self._theta * h, self._system
         q = self._integrated.integrate(system.chart, y.q, share * v, self._axes)
         return system.expand(State(y.t + share, q, v, z))
@@ -349,12 +361,12 @@ class FreeBodyStep(MoreauJeanStep):
         return State(t, q, v, system.internals.inside(y.z + dz), y.mode)
 
     def _finish(self, y: State, problem: StepProblem, end: Array, t: float) -> State:
-        """The state at the end of a step; other steps may have been tried since its problem."""
+        """Return the state at the end of a step, in the axes of its problem."""
         self._axes = self._bodies.axes(problem.x.q)
         return super()._finish(y, problem, end, t)
 
     def _correct_positions(self, y: State) -> State:
-        """Return the state with no one-sided row beyond 0, moved the least in the mass metric."""
+        """Return the nearest state without negative gaps, in the mass metric."""
         self._axes = self._integrated.axes(y.q)
         return super()._correct_positions(y)
 
@@ -381,19 +393,23 @@ def returns(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None
 
 
 def first_closing(gap: Array, rate: Array, bent: Array) -> float:
-    """The first time at which a gap is 0 [s], rates negative; 0 where one has no room left."""
+    """Return the first time at which a gap is 0 [s]; rates are negative.
+
+    A gap that is closed already gives 0.
+    """
     root = np.sqrt(np.maximum(rate * rate - 2.0 * bent * gap, 0.0))
     return max(float((2.0 * gap / (root - rate)).min()), 0.0)
 
 
 class PositionCorrection:
-    """Finds the least displacement, in the mass metric, out of one-sided rows that are beyond 0.
+    """Finds the least displacement, in the mass metric, that makes negative gaps 0.
 
         min |d|_M   subject to   g + J d >= 0,   J_b d = 0 of bilateral rows
 
     Args:
-        rigid: Its bilateral rows, which hold on the way.
-        rows: The rows that give way.
+        mechanism: The mechanism.
+        rigid: Its bilateral rows, which hold.
+        rows: Its unilateral and bounded rows.
     """
 
     def __init__(self, mechanism: Mechanism, rigid: RigidRows, rows: StepRows) -> None:
@@ -403,7 +419,7 @@ class PositionCorrection:
         self._no_rows = np.zeros((0, int(mechanism.model.nv)))
 
     def displacement(self, x: State) -> Array | None:
-        """Return the displacement of all joints, shape (nv,); None where no row is beyond 0."""
+        """Return the displacement of all joints, shape (nv,); None where no gap is negative."""
         rows, rigid = self._rows, self._rigid
         gap = rows.gaps(x)
         if gap is None or (least := float(gap.min())) >= -LANDED:

@@ -4,13 +4,13 @@
 
     w = J v+ + offset,   v+ = free + K^-1 J' p
 
-at the end of the step, and impulses p that push or stay within h times their bounds. A one-sided
-row acts where its gap would close: with constant accelerations it goes
+at the end of the step, and impulses p that push or stay within h times their bounds. A unilateral
+row is active where its gap would close: with constant accelerations it ends at
 
     gap + h ((1 - theta) rate + theta w)
 
-and a row that acts may keep the rate that its gap leaves. `UnilateralSolver` solves for the
-impulses; contacts with friction have a solver of their own, in `contact_step`.
+and an active row may keep the rate that its remaining gap allows. `UnilateralSolver` solves for
+the impulses; `contact_step` solves for contacts with friction.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class StepProblem(NamedTuple):
         return self.J.dot(self.free) + self.offset
 
     def closed(self) -> Which:
-        """One-sided rows that would be closed at the end of the step."""
+        """Return the unilateral rows that would be closed at the end of the step."""
         if not len(self.gap):
             return self.row_set.pushes
         return self.row_set.pushes & (self.left + self.h * self.theta * self.at_end <= 0.0)
@@ -104,14 +104,15 @@ class StepProblem(NamedTuple):
         return closed & (-self.rate > np.maximum(gained, slow))
 
     def passed(self, end: Array) -> Which:
-        """One-sided rows that a velocity at the end of the step would take beyond 0."""
+        """Return the unilateral rows whose gaps a velocity at the end would make negative."""
         left = self.left + self.h * self.theta * (self.J.dot(end) + self.offset)
         return self.row_set.pushes & (left < -self.h * self.slight(self.free))
 
     def required_rates(self, on: NDArray[np.intp], free: Array) -> Array:
-        """The g' of some rows at the end of the step, less what they may keep, shape (len(on),).
+        """Return g' of some rows at the end of the step, less what they may keep, shape (k,).
 
         Args:
+            on: Numbers of the rows, shape (k,).
             free: Velocity at the end without rows that give way.
         """
         return self.J[on].dot(free) + self.offset[on] + self.rates_left(on)
@@ -135,11 +136,11 @@ class UnilateralSolver:
     """One complementarity problem a step for all rows that give way.
 
     Args:
-        rows: The rows; their bounds are those of the state that was last asked for.
+        rows: The rows, with the bounds of their last state.
 
     Attributes:
-        last: What the next problem begins with; empty where it begins with nothing.
-        shared: Which rows `last` is of and what their A was, if it is of least norm; else empty.
+        last: Impulses with which the next problem begins; empty for none.
+        shared: The rows of `last` and their matrix A, if `last` has the least norm; else empty.
         worst: The largest residuals of contacts since `reset_residuals`; None without contacts.
         forces: Mean forces of contacts in the last step; None without contacts.
     """
@@ -152,7 +153,7 @@ class UnilateralSolver:
         self.forces: Array | None = None
 
     def reset_residuals(self) -> None:
-        """Begin to look for the largest residuals anew."""
+        """Set the largest residuals to 0."""
 
     def early_slips(self, problem: StepProblem, end: Array) -> Slots | None:
         """Return tangents of contacts whose slips end within the step; without contacts None."""
@@ -163,10 +164,10 @@ class UnilateralSolver:
         return 0.0
 
     def accept(self) -> None:
-        """Go on from the step that `early_slips` looked at."""
+        """Accept the step that `early_slips` has searched."""
 
     def displacement_correction(self, problem: StepProblem, end: Array) -> Array | None:
-        """What is taken from the displacement of the step [m, rad], shape (nv,); without contacts None."""
+        """Return the correction of the displacement [m, rad], shape (nv,); None without contacts."""
         return None
 
     def solve(
@@ -231,14 +232,14 @@ class StepRows:
         )
 
     def turn_rate(self, v: Array) -> float:
-        """Return how fast bodies beside contacts turn with a velocity of all joints [rad/s]."""
+        """Return the angular speed of bodies beside contacts for a velocity of all joints."""
         return 0.0
 
     def start_from(self, q: Array) -> None:
-        """Learn from which configuration of what is integrated a step starts."""
+        """Take note of the configuration from which a step starts."""
 
     def record_displacement(self, q: Array, displacement: Array) -> None:
-        """Learn to which configuration all joints moved, and how far, shape (nv,)."""
+        """Take note of a displacement of all joints, shape (nv,), and where it leads."""
 
     def at(self, x: State, free: Array, h: float) -> RowsAt:
         """Return the rows at a state of all joints, with bounds that are those of it.
@@ -284,7 +285,7 @@ class RowsAt(NamedTuple):
     """Rows at one state.
 
     Attributes:
-        row_set: Which they are.
+        row_set: The set of the rows.
         J: Their Jacobian, shape (m, nv).
         drift: Their J' v, shape (m,).
         gap: Their g, shape (m,).
@@ -299,13 +300,14 @@ class RowsAt(NamedTuple):
 
 
 class RowSet(NamedTuple):
-    """Rows that may act in a step.
+    """A set of rows that may be active in a step.
 
     Attributes:
-        at: Where they stand among all unilateral and bounded rows, shape (m,).
+        at: Numbers among all unilateral and bounded rows, shape (m,).
         names: One a row.
-        pushes: Which are one-sided, normals of contacts among them, shape (m,).
-        decides: Which row says whether it acts: of a contact its normal, else itself.
+        pushes: Which are unilateral, normals of contacts among them, shape (m,).
+        decides: The row that decides whether a row is active: the normal of a contact, else the
+            row itself.
         cones: The contacts, their slots counted here.
         tangents: Their rows along tangents, shape (2 n,).
     """

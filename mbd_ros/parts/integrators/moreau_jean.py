@@ -18,7 +18,7 @@ class MoreauJean(Integrator):
 
     Joint stops, dry friction, limited drives, contacts and bilateral rows are one complementarity
     problem a step, with rates at its end; no time constant of theirs is read, but a limited drive
-    comes back to its motion with its own. Impacts have Poisson's restitution and divide a step.
+    returns to its motion with its own. Impacts have Poisson's restitution and divide a step.
     Loads and internal states are implicit: stiff ones do not limit the step. Second order where
     motion is smooth, if theta is 1/2, and first order where rows begin or cease to act.
 
@@ -72,7 +72,7 @@ class _Steps(Stepper):
 
     @property
     def shared(self) -> tuple[Any, ...]:
-        """Of which rows these are, and what their impulses did, where they are of least norm."""
+        """Rows of these impulses and their matrix, where the impulses have the least norm."""
         return self._at.row_solver.shared
 
     @shared.setter
@@ -86,9 +86,9 @@ class _Steps(Stepper):
 
     @property
     def forces(self) -> Array | None:
-        """Mean forces of rows that give way in the last step; None without contacts."""
+        """Mean forces of unilateral and bounded rows in the last step; None without contacts."""
         return self._at.row_solver.forces
 
     def reset_residuals(self) -> None:
-        """Begin to look for the worst residuals anew."""
+        """Set the worst residuals to 0."""
         self._at.row_solver.reset_residuals()
