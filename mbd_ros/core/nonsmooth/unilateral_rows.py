@@ -167,7 +167,7 @@ class UnilateralSolver:
         """Accept the step that `early_slips` has searched."""
 
     def displacement_correction(self, problem: StepProblem, end: Array) -> Array | None:
-        """Return the correction of the displacement [m, rad], shape (nv,); None without contacts."""
+        """Return the correction of the displacement [m, rad]; None without contacts."""
         return None
 
     def solve(
