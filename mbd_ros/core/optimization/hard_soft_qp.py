@@ -20,7 +20,7 @@ import eigenpy
 import numpy as np
 
 from mbd_ros.core.optimization.box_qp import Sides, on_independent, passed, pseudo_inverse
-from mbd_ros.core.optimization.qp_solvers import KeptProxQp, counted
+from mbd_ros.core.optimization.qp_solvers import WarmProxQp, counted
 from mbd_ros.core.state import Array
 from mbd_ros.core.thresholds import CLOSED_GAP, FIXED_BY_OTHERS, TINY
 from mbd_ros.errors import SolveError
@@ -59,7 +59,7 @@ class HardSoftQp:
         self.counts = Counts()
         size = n + soft
         self._n = n
-        self._qp = KeptProxQp(size, soft)
+        self._qp = WarmProxQp(size, soft)
         self._H = np.zeros((size, size))
         self._g = np.zeros(size)
         self._C = np.zeros((soft, size))
@@ -352,7 +352,7 @@ class RowBoundedQp:
     """
 
     def __init__(self) -> None:
-        self._solver: KeptProxQp | None = None
+        self._solver: WarmProxQp | None = None
         self._size = (0, 0)
         self._last: Sides | None = None
 
@@ -391,7 +391,7 @@ class RowBoundedQp:
             yield self._last
         n, m = H.shape[0], len(C)
         if self._solver is None or self._size != (n, m):
-            self._solver, self._size = KeptProxQp(n, m), (n, m)
+            self._solver, self._size = WarmProxQp(n, m), (n, m)
         none = np.full(n, np.inf)
         for cold in (False, True):
             x = self._solver.solve(H, g, -none, none, (C, lower, upper), cold=cold)
