@@ -268,7 +268,7 @@ class Expressions:
     def _switched(self) -> SwitchedRows:
         rows = self._equations.unilateral
         if not isinstance(rows, SwitchedRows):
-            raise Untraceable("rows that give way are looked at where all modes are traced")
+            raise Untraceable("unilateral and bounded constraints need a trace of all modes")
         return rows
 
     def _part_guards(self) -> list[Any]:

@@ -61,7 +61,9 @@ class UnilateralRows:
     def __init__(self, system: SymbolicSystem, mode: Mode) -> None:
         self._trace_rows(system)
         if len(mode) < len(self._reach):
-            raise Untraceable("rows that give way have a form in a mode only")
+            raise Untraceable(
+                "unilateral and bounded constraints have a symbolic form only in a given mode"
+            )
         self._mode = mode[: len(self._reach)]
         if not all(abs(entry) <= 1 for entry in self._mode) or any(
             not self._mode[i] and any(self._mode[i + 1 : i + 3]) for i in self._mu

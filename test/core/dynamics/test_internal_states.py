@@ -602,7 +602,8 @@ class Refusing(Rk4):
 def test_a_method_that_cannot_move_them_is_refused_by_name():
     system, stabilization = pendulum().system(), NoStabilization()
     with pytest.raises(
-        ModelError, match=r"integrator refusing does not move internal .* drive.angle, drive"
+        ModelError,
+        match=r"integrator refusing cannot integrate the internal .* drive.angle, drive",
     ):
         Simulation(system, Refusing(), stabilization, 1e-3)
     Simulation(pendulum(actuators=None, initial=None).system(), Refusing(), stabilization, 1e-3)
