@@ -193,7 +193,7 @@ class Contacts(NamedTuple):
 
 
 class Bounds(NamedTuple):
-    """What impulses may be.
+    """Bounds of impulses.
 
     Attributes:
         lower: Smallest ones of rows between bounds, shape (k,).

@@ -168,7 +168,7 @@ def _opens(A: Rows, b: list[float], mu: float, least: float) -> Iterator[list[fl
 
 
 def every_answer(A: Array, b: Array, mu: float, least: float, slack: float) -> Array:
-    """As `cone_contact`, by way of all candidates and with every rank decided."""
+    """Solve the same problem as `cone_contact` from all candidates, with every rank decided."""
     values, directions = np.linalg.eigh(A)
     if values[0] <= redundant(3) * values[2]:
         moved = directions[:, values > redundant(3) * values[2]]

@@ -148,7 +148,7 @@ class ContactProblem:
 
     @property
     def residuals(self) -> Residuals:
-        """What the last answer leaves of the laws; rows that nothing moves leave nothing."""
+        """Return the residuals of the laws in the last solution, 0 for rows that nothing moves."""
         p, b, lower, upper = self._answered
         if self._is_one:
             return Residuals(*cone_residuals(self._A, b, p, self._cones[0].mu, float(lower[0])))
@@ -307,7 +307,7 @@ class ScaledContacts:
         return found if left <= most else p
 
     def left(self, p: Array, b: Array, lower: Array, upper: Array) -> tuple[float, float]:
-        """What impulses leave of the laws: of normals and bounded rows, and of slips [m/s]."""
+        """Return the residuals of the laws: of normals and bounded rows, and of slips [m/s]."""
         at, unit, contacts = self._at, self._unit, self._newton.contacts
         if not len(at):
             return 0.0, 0.0

@@ -18,7 +18,7 @@ _BERNOULLI = (1 / 2, 1 / 12, 0.0, -1 / 720, 0.0, 1 / 30240, 0.0, -1 / 1209600)
 
 
 class Chart:
-    """What q (+) dq means for the configurations of a model.
+    """The map q (+) dq for the configurations of a model.
 
     Free bodies move along screws of their own frame, [m, rad]; all other coordinates add up.
 

@@ -120,7 +120,7 @@ class ComposedSystem:
 
     @property
     def evaluations(self) -> int:
-        """How often the equations of motion were asked."""
+        """Number of evaluations of the equations of motion."""
         return self._mechanism.evaluations
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
@@ -196,7 +196,7 @@ class ComposedSystem:
         return self._build(loads, self.constraints.gains)
 
     def with_gains(self, kp: float, kd: float) -> System:
-        """The same system, with g'' + kd g' + kp g = 0 of rigid rows; itself if it has them."""
+        """Return the same system with g'' + kd g' + kp g = 0 of bilateral rows."""
         if (kp, kd) == self.constraints.gains:
             return self
         return self._build(self.loads, (kp, kd))

@@ -34,9 +34,9 @@ _LEFT = 1.0e-6  # of a rate: what a correction may leave of it
 
 
 class Extended:
-    """What integrators ask of a system, with internal states beside the velocities.
+    """A system for integrators, with internal states as further velocities.
 
-    Whatever else they ask is that of the system.
+    All other attributes are those of the system.
 
     Args:
         system: The system, with internal states.

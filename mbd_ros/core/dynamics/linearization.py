@@ -205,7 +205,10 @@ class FreeDerivatives:
         return np.concatenate((force, internals.rates(mechanism.k, x, u)))
 
     def _slopes(self, y: State, u: Array, force: Array, nu: int) -> Array | None:
-        """Of `_loads` by q, v, z and u, shape (nv + nz, 2 nv + nz + nu); None for zero."""
+        """Return the slopes of `_loads` by q, v, z and u; None for zero.
+
+        The shape is (nv + nz, 2 nv + nz + nu).
+        """
         if self._mechanism.loads.is_empty:
             return None
         nv, nz = self._nv, self._nz
@@ -279,7 +282,7 @@ class Balance:
     def slopes(
         self, t: float, q: Array, v: Array, u: Array | None, a: Array, lam: Array
     ) -> tuple[Array, Array]:
-        """Of f by steps in the tangent of q and by v, each of shape (nv, nv)."""
+        """Return the derivatives of f by q and by v, shape (nv, nv) each."""
 
         def write(t: float, q: Array, v: Array, u: Array | None, out: Array) -> None:
             out[...] = self.force(t, q, v, u, a, lam)

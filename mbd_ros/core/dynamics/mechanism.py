@@ -1,11 +1,10 @@
-"""A robot with what acts on its joints and with rows that hold.
+"""A robot with its loads and bilateral rows, and its response to impulses.
 
     Mechanism        M a + h = tau           all joints under loads, and the Pinocchio `Data`
-    RigidRows        g(t, q) = 0             rows that hold whatever multipliers that takes
+    RigidRows        g(t, q) = 0             bilateral rows, which hold with any multiplier
     ImpulseResponse  M (v+ - v) = J' p       while bilateral rows keep J_b v+ = goal
 
-The ways of solving for accelerations, and the steps in which velocities jump, are composed of
-them.
+The formulations of accelerations, and time steps in which velocities jump, are composed of them.
 """
 
 from copy import copy
@@ -30,14 +29,14 @@ class Mechanism:
     grows with the distance from its origin.
 
     Args:
-        loads: What acts on its joints.
+        loads: Loads on its joints.
 
     Attributes:
         model: The Pinocchio model.
         data: Its `Data`.
         k: Kinematics over `data`.
-        zero: No velocity and no force, shape (nv,), not to be written to.
-        evaluations: How often the equations of motion were asked.
+        zero: Zero velocity or force, shape (nv,), read-only.
+        evaluations: Number of evaluations of the equations of motion.
     """
 
     def __init__(self, robot: Robot, loads: Loads) -> None:
@@ -91,11 +90,11 @@ class RigidRows:
     """g(t, q) = 0 of all joints.
 
     Args:
-        sizes: What masses and rows usually are, where that is known.
+        sizes: Characteristic sizes of masses and rows, where they are known.
 
     Attributes:
         rows: One entry a row.
-        sizes: What masses and rows usually are; None without rows.
+        sizes: Characteristic sizes of masses and rows; None without rows.
         condition: Condition number of the rows in the mass metric when last factorised, for
             reports; 1 without rows.
     """

@@ -127,7 +127,7 @@ class PhasedSystem:
         return PhasedSystem(self.phases, changed, self.layout, self.slots, self.first)
 
     def with_gains(self, kp: float, kd: float) -> "PhasedSystem":
-        """The same phases with g'' + kd g' + kp g = 0 of rigid rows; kp [1/s^2], kd [1/s]."""
+        """Return the same phases with g'' + kd g' + kp g = 0 of bilateral rows."""
         changed = [system.with_gains(kp, kd) for system in self.systems]
         if all(one is other for one, other in zip(changed, self.systems, strict=True)):
             return self
@@ -188,5 +188,5 @@ class PhasedSystem:
 
     @property
     def evaluations(self) -> int:
-        """How often the equations of motion of all phases were asked."""
+        """Number of evaluations of the equations of motion of all phases."""
         return sum(system.evaluations for system in self.systems)

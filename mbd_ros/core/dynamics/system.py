@@ -2,9 +2,9 @@
 
     M a + h = tau + J' lam,   J a + drift = 0 of bilateral rows,   laws of the other rows
 
-`System` is what they ask for. A system is composed of a `FreeMotion` in some `Coordinates` and of
-the rows that give way (`composed_system`); `tiers` chooses how it is solved. Queries of systems
-that may have phases stand at the end; they cost nothing where there are none.
+`System` is their contract. A system is composed of a `FreeMotion` in some `Coordinates` and of
+unilateral and bounded rows (`composed_system`); `tiers` chooses its formulation. Functions for
+systems that may have phases follow at the end; they cost nothing where there are none.
 """
 
 from __future__ import annotations
@@ -43,10 +43,10 @@ class System(Protocol):
     called y: `chart`, `accelerator`, `derivatives`, `mass`, `applied` and the rows are in y.
 
     Attributes:
-        tier: Name of the way of solving.
+        tier: Name of the formulation.
         model: Its Pinocchio model.
-        loads: What acts on its joints.
-        k: Kinematics at the state that was last asked for.
+        loads: Loads on its joints.
+        k: Kinematics at the last evaluated state.
         nq: Size of the configuration of y.
         nv: Size of its velocity.
         internals: The internal states of its parts: z.
@@ -57,9 +57,9 @@ class System(Protocol):
         bounded: Bounded rows that are solved for in every evaluation, None without any.
         event_rows: Unilateral and bounded rows whose mode changes at events only; None without
             any.
-        layout: Which multipliers of an `Evaluation` are those of which rows.
-        multiplier_rows: What they are, in the same order under every tier.
-        sizes: What masses and these rows usually are; None without rows.
+        layout: The rows of the multipliers of an `Evaluation`.
+        multiplier_rows: The same as a list, in the same order under every tier.
+        sizes: Characteristic sizes of masses and these rows; None without rows.
         condition: Condition number of `bilateral` in the mass metric when last factorised, for
             reports; 1 without rows.
     """
@@ -88,14 +88,14 @@ class System(Protocol):
 
     @property
     def evaluations(self) -> int:
-        """How often the equations of motion were asked."""
+        """Number of evaluations of the equations of motion."""
 
     def evaluate(self, x: State, u: Array | None = None) -> Evaluation:
         """Return accelerations, multipliers and the response to forces, at a state of all joints.
 
         Args:
             x: State of all joints; tiers that eliminate some read the others.
-            u: Inputs; None stands for what sources give, else for safe values.
+            u: Inputs; None stands for those of the sources, or for safe values without sources.
 
         Raises:
             SolveError: The equations have no solution.
@@ -126,7 +126,12 @@ class System(Protocol):
         """Return the same robot and rows, built for other loads."""
 
     def with_gains(self, kp: float, kd: float) -> System:
-        """The same system with g'' + kd g' + kp g = 0 of rigid rows; kp [1/s^2], kd [1/s]."""
+        """Return the same system with g'' + kd g' + kp g = 0 of bilateral rows.
+
+        Args:
+            kp: Gain of positions [1/s^2].
+            kd: Gain of velocities [1/s].
+        """
 
     def expand(self, y: State) -> State:
         """Return the state of all joints from that of what is integrated."""
@@ -198,11 +203,11 @@ class Derivatives(NamedTuple):
 
 
 class FreeMotion(Protocol):
-    """Accelerations y'', rigid rows and couplings kept, rows that give way left out.
+    """Accelerations y'' under bilateral rows and couplings, without unilateral and bounded rows.
 
     Attributes:
-        tier: Name of the way of solving.
-        coordinates: What is integrated.
+        tier: Name of the formulation.
+        coordinates: The integrated coordinates.
     """
 
     tier: str
@@ -210,7 +215,7 @@ class FreeMotion(Protocol):
 
     @property
     def coordinates(self) -> Coordinates:
-        """What is integrated, beside all joints."""
+        """The integrated coordinates and their relation to all joints."""
 
     def accelerate(self, y: State, u: Array | None) -> Array:
         """Return y'' at a state, shape (nv,); the next call may overwrite it.
@@ -250,7 +255,7 @@ class FreeMotion(Protocol):
 
 
 class Coordinates(Protocol):
-    """What is integrated, called y, and all joints."""
+    """The integrated coordinates y and their relation to all joints."""
 
     chart: Chart
 

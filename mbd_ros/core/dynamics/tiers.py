@@ -1,4 +1,4 @@
-"""The tier of a scene: how it is solved, chosen once, while building."""
+"""The formulation ("tier") of a scene, chosen once while it is built."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -62,7 +62,7 @@ def build_system(
 
 
 class _Plan:
-    """What stays of a system when it is built for other loads or gains.
+    """The parts of a system that do not depend on loads and gains.
 
     Args:
         layout: All rows of the scene.

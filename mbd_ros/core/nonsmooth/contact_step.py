@@ -280,7 +280,7 @@ class ContactSolver(UnilateralSolver):
         return None
 
     def _kept_bend(self, problem: StepProblem, on: NDArray[np.intp], A: Array) -> Array:
-        """What rates have from the change of J, without what no motion of the bodies answers.
+        """Return the rates from the change of J, without the part that no motion of bodies makes.
 
         Rows that depend on one another would stick with rates that contradict one another: feet
         of a body that turns and comes to rest move apart by (w h)^2 / 2 of their distance.

@@ -57,7 +57,7 @@ class Clearance:
 
     @property
     def known(self) -> tuple[float, float]:
-        """What the next steps depend on: room, and the speed of all joints together."""
+        """Room, and speed of all joints together, on which the next steps depend."""
         return self.room, self._speed
 
     @known.setter

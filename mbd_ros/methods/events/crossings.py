@@ -27,12 +27,12 @@ class Crossing(Protocol):
     """A number that has a zero.
 
     Attributes:
-        reads: What it reads of k.
+        reads: Level of the kinematics that it reads.
     """
 
     @property
     def reads(self) -> Reads:
-        """See the attributes of the class."""
+        """Level of the kinematics that it reads."""
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
         """Return the number at a state of all joints.
@@ -50,7 +50,7 @@ class Gap(NamedTuple):
     reads: Reads = Reads.POSITION
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         return float(self.contact.pair.gaps(k).min())
 
 
@@ -66,12 +66,12 @@ class Force(NamedTuple):
     reads: Reads = Reads.NOTHING
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         return sum(float(lam[i]) for i in self.slots) - self.at
 
 
 class ConeRoom(NamedTuple):
-    """What friction of a contact that is held has left before it slips [N].
+    """Friction force that a held contact has in reserve before it slips [N].
 
         mu sum n - |sum t|
 
@@ -87,7 +87,7 @@ class ConeRoom(NamedTuple):
     reads: Reads = Reads.NOTHING
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         n = sum(float(lam[i]) for i in self.normals)
         t = (sum(float(lam[i]) for i in each) for each in self.tangents)
         return self.mu * n - math.hypot(*t)
@@ -110,7 +110,7 @@ class Footing(NamedTuple):
     reads: Reads = Reads.POSITION
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         n = lam[list(self.normals)]
         return min(float(n.dot(inside)) for inside in self.edges(k))
 
@@ -169,7 +169,7 @@ class Combination(NamedTuple):
     reads: Reads = Reads.NOTHING
 
     def value(self, k: Kinematics, x: State, lam: Array) -> float:
-        """As `Crossing.value`."""
+        """Return the number at a state of all joints."""
         return float(self.factors.dot(x.q[self.q])) - self.at
 
 

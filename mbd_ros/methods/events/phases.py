@@ -1,4 +1,4 @@
-"""Phases of a motion: what holds, what ends them, what is reset then."""
+"""Phases of a motion: their constraints, their exits, and resets at the exits."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _MOST_AT_ONCE = 100  # phases that may follow one another at one time
 
 
 class Phase(NamedTuple):
-    """What goes on between two events.
+    """A phase of the motion between two events.
 
     Attributes:
         name: Unique in the scene.
@@ -147,7 +147,7 @@ class PhaseReset:
 
 
 class Demand(NamedTuple):
-    """What impulses of a contact that is held have to keep.
+    """A condition on the impulses of a held contact.
 
     Attributes:
         crossing: A number that may not be negative.
@@ -160,7 +160,7 @@ class Demand(NamedTuple):
 
 
 class Struck(NamedTuple):
-    """What an impact leaves.
+    """Result of an impact.
 
     Attributes:
         x: State of all joints after it.
@@ -272,7 +272,7 @@ class PhaseSteps(Stepper):
         self.restart()
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:
-        """As `Stepper.step`; it ends where the phase does.
+        """Advance by one step, which ends where the phase does.
 
         Raises:
             SolveError: As the steps in a phase; or a contact that is held would open or slip, no
@@ -303,7 +303,7 @@ class PhaseSteps(Stepper):
         return self._outward(after)
 
     def settle(self, x: State, u: Array | None) -> State:
-        """As `Stepper.settle`, in the phase of the state."""
+        """Return the first state with its mode, in the phase of the state."""
         self.now = self._stepped = self.system.phase(x)
         self.since = x.t
         self._used.add(self.now)
@@ -313,7 +313,7 @@ class PhaseSteps(Stepper):
         return self._outward(y)
 
     def restart(self) -> None:
-        """As `Stepper.restart`: from the first phase on."""
+        """Forget all earlier steps, and begin in the first phase."""
         for stepper in self._steppers:
             stepper.restart()
         self.now = self._stepped = self.system.first
@@ -322,21 +322,21 @@ class PhaseSteps(Stepper):
 
     @property
     def events(self) -> EventLog:
-        """As `Stepper.events`."""
+        """Events so far."""
         return self.events_so_far
 
     def take_events(self) -> EventLog:
-        """As `Stepper.take_events`."""
+        """Return the events since the start or the last call, and forget them."""
         taken, self.events_so_far = self.events_so_far, EventLog()
         return taken
 
     def checkpoint(self) -> Memory:
-        """As `Stepper.checkpoint`, with that of the steps in all phases that there were."""
+        """Return a checkpoint with those of the steps in all phases so far."""
         known = {i: self._steppers[i].checkpoint() for i in self._used}
         return {**super().checkpoint(), "steppers": known}
 
     def restore(self, checkpoint: Memory, x: State) -> None:
-        """As `Stepper.restore`."""
+        """Go on as after the step at which a checkpoint was taken."""
         super().restore({name: checkpoint[name] for name in self.kept}, x)
         y, known = self._inward(x), checkpoint["steppers"]
         for i in self._used - set(known):  # what is forgotten leaves a trace in their rounding
@@ -346,13 +346,13 @@ class PhaseSteps(Stepper):
             self._steppers[i].restore(known[i], y)
 
     def continue_from(self, x: State) -> None:
-        """As `Stepper.continue_from`."""
+        """Continue from a corrected state, history kept."""
         y = self.system.inward(x)
         self._last = _Pair(x, y)
         self._steppers[self.now].continue_from(y)
 
     def interpolate(self, t: float) -> State:
-        """As `Stepper.interpolate`: in the phase of the last step."""
+        """Return the state at a time inside the last step, in the phase of that step."""
         last = self._last.outer
         if last is not None and t == last.t:
             return last

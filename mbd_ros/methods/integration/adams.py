@@ -102,7 +102,7 @@ class AdamsSteps(Stepper):
         self._starter.restart()
 
     def again(self, h: float, t: float) -> State:
-        """As `Stepper.again`, by the starter; the method starts anew after it."""
+        """Take the last step again by the starter; the method restarts after it."""
         start, starter = self.began(), self._starter
         self._known, self._last, self._ready = 0, None, None
         if starter.before is not start:
@@ -111,7 +111,7 @@ class AdamsSteps(Stepper):
         return starter.again(h, t)
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
-        """As `Stepper.follow`."""
+        """Follow other accelerations from the next step on."""
         self._accelerate, self._mode = accelerate, mode
         self._starter.follow(accelerate, mode)
         self.restart()
@@ -142,7 +142,7 @@ class AdamsSteps(Stepper):
         return {**super().checkpoint(), "rows": rows, "starter": self._starter.checkpoint()}
 
     def restore(self, checkpoint: Memory, x: State) -> None:
-        """As `Stepper.restore`."""
+        """Go on as after the step at which a checkpoint was taken, with the same bits."""
         super().restore({name: checkpoint[name] for name in self.kept}, x)
         self._starter.restore(checkpoint["starter"], x)
         self._B[...], done = checkpoint["rows"]

@@ -44,7 +44,7 @@ class AdaptedSteps(Stepper):
         return {"last": copied(self._last), "inner": self._inner.checkpoint()}
 
     def restore(self, checkpoint: Memory, x: State) -> None:
-        """As `Stepper.restore`."""
+        """Go on as after the step at which a checkpoint was taken."""
         self._last = recognised(copied(checkpoint["last"]), x)
         self._inner.restore(checkpoint["inner"], self._known(x))
 
@@ -63,7 +63,7 @@ class AdaptedSteps(Stepper):
 
     @property
     def pace(self) -> tuple[float, ...]:
-        """As `Stepper.pace`."""
+        """Length of the next step [s] and last error, where the method chooses its steps."""
         return self._inner.pace
 
     @pace.setter

@@ -193,7 +193,7 @@ class ConstrainedVerlet:
     def _move_by_newton(
         self, here: Configuration, w: Array, s: Array, move: PositionStep
     ) -> tuple[Array, Array, Array]:
-        """The same with fresh rows in every correction, for rows that turn within the step."""
+        """Move with fresh rows in every correction, for rows that turn within the step."""
         (h, t), system, lift, worst, last = move, self._system, here.lift, 0, np.inf
         for _ in range(_NEWTON):
             q = system.chart.integrate(here.q, h * (w - lift.dot(s)))

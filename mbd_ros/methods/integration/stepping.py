@@ -21,18 +21,17 @@ class Integrator:
         dense: Whether its steppers can interpolate.
         keeps_constraints: Whether the method itself keeps the constraints, so that no
             stabilization acts.
-        keeps_internal: Whether the method moves internal states, as velocities of coordinates
-            that nobody asks for; see `core/dynamics/internal_dynamics.py`.
+        keeps_internal: Whether the method integrates internal states as further velocities, as
+            `core/dynamics/internal_dynamics.py` describes.
         moves_internal: Whether its steppers take states with internal states as they are.
         is_explicit: Whether stiff forces limit the step.
         event_driven: Whether its steps can be taken again with another length, so that they end
-            at events; other methods refuse exact rows that give way, and guards.
-        event_steps: What takes its steppers from event to event, called as `EventSteps`; None for
-            that.
+            at events; other methods refuse event-driven rows, and guards.
+        event_steps: Class that takes its steppers from event to event; None for `EventSteps`.
         turns: Whether its steppers turn the velocities of a system in the axes of the world, and
             back, themselves.
-        at_velocity_level: Whether its steps solve for rows that give way with their rates at the
-            end of the step, impacts included, exact or smoothed, and for internal states.
+        at_velocity_level: Whether its steps solve for unilateral and bounded rows with their rates
+            at the end of the step, impacts included, and for internal states.
         finds_surfaces: Whether surfaces of switching forces are events, too.
         native: What compiled runs call its steps: `runge_kutta`, which have a `tableau` and may
             have a `tolerance`, `adams`, `rattle` or `semi_implicit_euler`; empty where they know
@@ -61,7 +60,7 @@ class Integrator:
 
     @property
     def title(self) -> str:
-        """What people call it."""
+        """Name of the method for people."""
         return type(self).__name__
 
     def growth(self, motion: Any, dt: float) -> float:
@@ -90,7 +89,7 @@ class Stepper:
     """A method at work on one system with one step size.
 
     Attributes:
-        kept: Names of the attributes that later steps depend on beside their arguments.
+        kept: Names of the attributes on which later steps depend, for checkpoints.
         system: The system that the steps follow, where it is not the one they were prepared for.
         is_fixed: Whether steps are as long as dt, those apart that end early.
         ends_at_samples: Whether a step that follows one which ended early ends at the next sample,
@@ -153,11 +152,11 @@ class Stepper:
         return x
 
     def restart(self) -> None:
-        """Forget everything that was kept from earlier steps."""
+        """Forget all earlier steps."""
 
     @property
     def events(self) -> Sequence[Any]:
-        """What has happened so far, each an `Event`."""
+        """Events so far."""
         return ()
 
     def take_events(self) -> Sequence[Any]:
@@ -171,7 +170,7 @@ class Stepper:
 
     @property
     def forces(self) -> Array | None:
-        """Mean forces of rows that give way in the last step; None where nobody has to know."""
+        """Mean forces of unilateral and bounded rows in the last step; None for most methods."""
         return None
 
     @property
@@ -180,7 +179,7 @@ class Stepper:
         return ()
 
     def reset_residuals(self) -> None:
-        """Begin to look for the worst residuals anew."""
+        """Set the worst residuals to 0."""
 
     def checkpoint(self) -> Memory:
         """Return what later steps depend on beside their arguments, as a value of its own."""
@@ -242,7 +241,10 @@ class Stepper:
         return None
 
     def margin_again(self, which: tuple[int, int]) -> Callable[[float, float], float] | None:
-        """The same by length and time after the last step, taken again; nan where that fails."""
+        """Return a margin after the last step taken again, by length and time; None if unknown.
+
+        The margin is nan where the step fails.
+        """
         return None
 
     def first_event(self, left: Collection[int]) -> tuple[float, int] | None:
@@ -294,7 +296,7 @@ class BlockStepper(Stepper):
 
     @property
     def plain_steps(self) -> int:
-        """Those of the steps in `handed_over` that other code has integrated, too."""
+        """Number of steps in `handed_over` that other code has also integrated."""
         return self.handed_over
 
     @property
@@ -319,7 +321,7 @@ class BlockStepper(Stepper):
 
     @property
     def state(self) -> State:
-        """What is integrated, after the last step."""
+        """State of the integrated coordinates after the last step."""
         raise NotImplementedError
 
     def begin_samples(self, y: State, sample: int, *, is_within: bool) -> None:
@@ -361,7 +363,7 @@ class BlockStepper(Stepper):
 
 
 class SampleBlock(NamedTuple):
-    """What one call took.
+    """Samples of one call.
 
     Attributes:
         rows: A sample a row: time, positions and velocities of all joints, internal states.

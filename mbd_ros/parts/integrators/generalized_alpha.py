@@ -126,7 +126,7 @@ class _Steps(Stepper):
         self._lam0 = np.zeros(len(self._bilateral.rows))
 
     def _begin(self, x: State, h: float) -> None:
-        """What of the step does not depend on a+, and a+ for a constant acceleration."""
+        """Set the parts of the step that do not depend on a+, and a first guess of a+."""
         self._D0 = h * x.v + (0.5 - self._beta) * h * h * self._a0
         self._v0 = x.v + (1.0 - self._gamma) * h * self._a0
         left = self._am * self._a0 - self._af * self._vdot0
@@ -188,7 +188,7 @@ class _Steps(Stepper):
         return rate
 
     def _off(self, t: float) -> Array:
-        """What the rows leave, as positions: beta h / gamma of the rate where they state rates."""
+        """Return the residuals of the rows as positions; rates count beta h / gamma."""
         g = self._bilateral.residual(t, self._q)
         if self._has_rates:
             rate = self._bilateral.jacobian(t, self._q).dot(self._v) + self._bilateral.rate(

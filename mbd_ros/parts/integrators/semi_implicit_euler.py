@@ -115,7 +115,7 @@ class SemiImplicitEulerStepper(Stepper):
 
 
 class ImplicitDampingStepper(SemiImplicitEulerStepper):
-    """The same with dampers at the new velocity.
+    """Semi-implicit Euler steps with dampers at the new velocity.
 
     Args:
         dt: Length of a step [s].
