@@ -170,7 +170,7 @@ def _history(body: FreeBody, solved: Solved, task: LoadsTask, say: Say) -> Histo
     tensions = tensions_at(paths, task.motion.motion, task.muscle_forces, stamps, say)
     explained, scene = solved.solution.explained, solved.scene
     measured = {n: w for n, w in scene.wrenches.items() if n not in solved.contacts}
-    acting = ActingWrenches(explained.rows, scene.forces_without_input, measured, paths)
+    body_wrenches = ActingWrenches(explained.rows, scene.forces_without_input, measured, paths)
     places = [i for i, name in enumerate(scene.wrenches) if name in measured]
     samples: list[list[BodyLoad]] = []
     motions: list[BodyMotion] = []
@@ -181,7 +181,7 @@ def _history(body: FreeBody, solved: Solved, task: LoadsTask, say: Say) -> Histo
         body.k.refresh(x.q, x.v)
         values = [solved.wrenches[i][row] for i in places]
         tension = tensions[row].tolist()
-        wrenches = list(acting.at(body.k, x, exerted.multipliers, values, tension))
+        wrenches = list(body_wrenches.at(body.k, x, exerted.multipliers, values, tension))
         wrenches += [wrench for forces, of in contacts for wrench in of(body, x, forces[row])]
         loads, motion = body.loads(x, a, wrenches)
         samples.append(loads)

@@ -75,14 +75,14 @@ def ensemble_to(
     Result({MAIN: table}, metadata_of("simulate", scene, inputs, {})).to(out)
     say(f"{len(runs.known)} runs, {table.rows} states -> {out}")
     if runs.failures:
-        shown = [
+        failures = [
             f"run {i} (line {i + 2}): {e}" for i, e in list(runs.failures.items())[:_MOST_NAMED]
         ]
-        more = len(runs.failures) - len(shown)
-        shown += [f"and {more} more"] if more else []
+        more = len(runs.failures) - len(failures)
+        failures += [f"and {more} more"] if more else []
         raise Interrupted(
             f"{path}: {len(runs.failures)} of {len(runs.known)} runs ended early: "
-            f"{'; '.join(shown)}; their states so far are in {out}, with the other runs"
+            f"{'; '.join(failures)}; their states so far are in {out}, with the other runs"
         )
 
 
@@ -204,15 +204,15 @@ def _fill(scene: Scene, read: Numbers, q: Array, v: Array, z: Array) -> Iterator
                 rows[:, at] = values[column]
                 yield column
     for base in robot.bases:
-        for words, rows, place in ((POSE, q, base.q), (TWIST, v, base.v)):
-            names = names_of(base.name, words)
+        for components, rows, place in ((POSE, q, base.q), (TWIST, v, base.v)):
+            names = names_of(base.name, components)
             missing = [name for name in names if name not in values]
             if len(missing) == len(names):
                 continue
             if missing:
                 raise DataError(f"{read.path}: no column {', '.join(missing)}, beside {names[0]}")
             state = np.column_stack([values[name] for name in names])
-            rows[:, place] = configuration_of(robot, state) if words is POSE else state
+            rows[:, place] = configuration_of(robot, state) if components is POSE else state
             yield from names
     for i, name in enumerate(scene.internals.names):
         if name in values:
