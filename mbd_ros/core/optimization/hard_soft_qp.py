@@ -176,26 +176,27 @@ class Counts(NamedTuple):
 def candidate(
     G: Array, lower: Array, upper: Array, side: Sides, hard: int, size: float
 ) -> Candidate:
-    """The smallest y on the limits that act.
+    """Return the smallest y for a guess of the active set.
 
     Args:
         G: Rows of length one, the hard ones first, shape (m, n).
-        lower: Shape (m,).
-        side: Limits that act, shape (m,).
+        lower: Lower limits, shape (m,).
+        upper: Upper limits, shape (m,).
+        side: Guess: 1 for a lower limit, -1 for an upper one, 0 for inactive, shape (m,).
         hard: Number of hard rows.
-        size: The largest gap at y = 0.
+        size: Largest gap at y = 0.
     """
     bound = np.where(side > 0, lower, upper)
     side = np.where(np.isfinite(bound), side, 0).astype(np.int8)
     active = side.nonzero()[0]
     rows, signs, bound = G[active], side[active], bound[active]
-    found = on_independent(rows, bound)
+    solution = on_independent(rows, bound)
     is_softened = False
-    if found is None:
+    if solution is None:
         first = int(np.searchsorted(active, hard))
         y, force, is_softened = _on_dependent(rows, bound, first, size)
     else:
-        y, force = found
+        y, force = solution
     after, reached, slack = side.copy(), G.dot(y), CLOSED_GAP * size
     pulls = (force * signs < 0.0) & (lower[active] < upper[active])
     after[active[pulls]] = 0
