@@ -175,7 +175,7 @@ class ComposedSystem:
         return self.coordinates.applied(inside, u)
 
     def derivatives(self, y: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Return derivatives of y'', to about 1e-6 by differences; as `System.derivatives`."""
+        """Return derivatives of y'', to about 1e-6 by differences."""
         if self.tier == "aba" and self.bounded is None and self.event_rows is None:
             if self._free is None:
                 from mbd_ros.core.dynamics.linearization import FreeDerivatives

@@ -67,7 +67,7 @@ class InWorldAxes:
         return accelerate
 
     def derivatives(self, x: State, u: Array | None = None, *, inputs: bool = True) -> Derivatives:
-        """Return derivatives of accelerations by differences; as `System.derivatives`."""
+        """Return derivatives of accelerations by differences, to about 1e-6."""
         field = self.accelerator(mode_at(self.system, self.from_world(x), u))
         return Linearization(self).derivatives(field, x, u, inputs=inputs)
 

@@ -28,11 +28,11 @@ class AdaptedSteps(Stepper):
         """Advance by one step of the method; x itself at or after `end`."""
         before = self._known(x)
         after = self._inner.step(before, u, end)
-        return x if after is before else self._kept(after)
+        return x if after is before else self._store(after)
 
     def settle(self, x: State, u: Array | None) -> State:
         """Return the first state with the mode in which it goes on."""
-        return self._kept(self._inner.settle(self._known(x), u))
+        return self._store(self._inner.settle(self._known(x), u))
 
     def restart(self) -> None:
         """Forget everything that was kept from earlier steps."""
@@ -50,7 +50,7 @@ class AdaptedSteps(Stepper):
 
     def again(self, h: float, t: float) -> State:
         """Return the last step taken again with another length."""
-        return self._kept(self._inner.again(h, t))
+        return self._store(self._inner.again(h, t))
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
         """Follow other accelerations from the next step on."""
@@ -72,29 +72,29 @@ class AdaptedSteps(Stepper):
 
     def interpolate(self, t: float) -> State:
         """Return the state inside the last step, by the dense output of the method."""
-        return self._given(self._inner.interpolate(t))
+        return self._to_system_form(self._inner.interpolate(t))
 
-    def _adapted(self, x: State) -> State:
+    def _to_method_form(self, x: State) -> State:
         """Return a state in the form of the method."""
         raise NotImplementedError
 
-    def _given(self, after: State) -> State:
+    def _to_system_form(self, after: State) -> State:
         """Return a state of the method in the form of the system."""
         raise NotImplementedError
 
     def _moved(self, x: State) -> State:
         """Return a state in the form of the method, near the last one."""
-        return self._adapted(x)
+        return self._to_method_form(x)
 
     def _known(self, x: State) -> State:
         last, adapted = self._last
         if x is not last or adapted is None:
-            adapted = self._adapted(x)
+            adapted = self._to_method_form(x)
             self._last = x, adapted
         return adapted
 
-    def _kept(self, after: State) -> State:
-        x = self._given(after)
+    def _store(self, after: State) -> State:
+        x = self._to_system_form(after)
         self._last = x, after
         return x
 
@@ -111,10 +111,10 @@ class TurnedSteps(AdaptedSteps):
         super().__init__(world, inner)
         self._world = world
 
-    def _adapted(self, x: State) -> State:
+    def _to_method_form(self, x: State) -> State:
         return self._world.to_world(x)
 
-    def _given(self, after: State) -> State:
+    def _to_system_form(self, after: State) -> State:
         return self._world.from_world(after)
 
 
@@ -129,29 +129,29 @@ class InternalSteps(AdaptedSteps):
     """
 
     def __init__(self, method: Integrator, system: Any, dt: float) -> None:
-        self._whole, self._nq = Extended(system), int(system.nq)
-        super().__init__(self._whole, method.prepare(self._whole, dt))
+        self._extended, self._nq = Extended(system), int(system.nq)
+        super().__init__(self._extended, method.prepare(self._extended, dt))
         followed = self._inner.system
         self.system = None if followed is None else followed.system
 
     def again(self, h: float, t: float) -> State:
         """Return the last step taken again with another length."""
         after = self._inner.again(h, t)
-        x = self._whole.parted(after)
+        x = self._extended.parted(after)
         self._last = x, after
         if _is_beyond(x, after):
             self._last = x, self._moved(x)
         return x
 
-    def _adapted(self, x: State) -> State:
-        return self._whole.joined(x)
+    def _to_method_form(self, x: State) -> State:
+        return self._extended.joined(x)
 
-    def _given(self, after: State) -> State:
-        return self._whole.parted(after)
+    def _to_system_form(self, after: State) -> State:
+        return self._extended.parted(after)
 
-    def _kept(self, after: State) -> State:
+    def _store(self, after: State) -> State:
         """Return the state after a step; the method goes on from bounds where it went beyond."""
-        x = super()._kept(after)
+        x = super()._store(after)
         if _is_beyond(x, after):
             self.continue_from(x)
         return x
@@ -159,7 +159,7 @@ class InternalSteps(AdaptedSteps):
     def _moved(self, x: State) -> State:
         """Return a state with the integrals of the last one."""
         joined = self._last[1]
-        return self._whole.joined(x, None if joined is None else joined.q[self._nq :])
+        return self._extended.joined(x, None if joined is None else joined.q[self._nq :])
 
 
 def _is_beyond(x: State, joined: State) -> bool:
