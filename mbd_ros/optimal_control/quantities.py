@@ -240,7 +240,7 @@ class PartQuantities:
         for part in e.system.loads.actuators:
             if part.has_metabolic_rate:
                 with tracing(part):
-                    rates[part.name] = e.own(part).metabolic_rate(e.k, e.x, e.u, numbers)
+                    rates[part.name] = e.with_symbols(part).metabolic_rate(e.k, e.x, e.u, numbers)
         return rates
 
     @property
@@ -278,7 +278,7 @@ class PartQuantities:
     def _values(self, part: Part) -> list[Any]:
         """Return the outputs of a part as numbers, one after the other."""
         if part.name not in self._outputs_of_parts:
-            e, own = self._e, self._e.own(part)
+            e, own = self._e, self._e.with_symbols(part)
             with tracing(part):
                 outputs = own.show(e.k, e.x, e.u, self._now(self._rows[part]))
             pairs = zip(part.outputs, outputs, strict=True)
