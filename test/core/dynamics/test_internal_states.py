@@ -568,7 +568,7 @@ def test_a_state_beyond_all_numbers_is_named(method):
 
 def test_parts_that_a_motion_does_not_show_are_refused_in_the_inverse():
     scene = with_part(Bristle, integrator={"type": "rk4"})
-    with pytest.raises(SceneError, match="inverse dynamics cannot know the internal states of brist"):
+    with pytest.raises(SceneError, match="inverse dynamics cannot know the internal states"):
         scene.inverse_dynamics()
     with pytest.raises(SceneError, match="a controller knows no internal states"):
         scene.controlled_joints()
