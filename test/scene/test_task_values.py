@@ -8,7 +8,7 @@ from places import ROOT
 
 from mbd_ros.api import load_scene
 from mbd_ros.errors import MbdError, SceneError
-from mbd_ros.features.estimation.estimation import estimation_of
+from mbd_ros.features.estimation.estimation import build_estimation
 from mbd_ros.features.prediction.problem import build_problem
 from mbd_ros.scene.origin import Origin
 from mbd_ros.scene.reading.building import build
@@ -199,4 +199,4 @@ def test_a_type_of_an_estimator_is_a_word(tmp_path, kind):
     task = parts_of(mapping_of(text, "task"), scene, tmp_path)["estimate"]
     names = [joint.name for joint in scene.robot.joints]
     with pytest.raises(SceneError, match="estimate.estimator: type is .*, accepted: a word such"):
-        estimation_of(scene, task, names, [])
+        build_estimation(scene, task, names, [])

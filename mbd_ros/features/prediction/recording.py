@@ -117,9 +117,10 @@ def _measured_loads(
     if recording_task.wrenches is None:
         return (lambda stamps: []), ()
     samples, _ = read_loads(scene, recording_task.motion, recording_task.wrenches)
+    file = str(recording_task.wrenches)
 
     def at(stamps: Any) -> list[Array]:
-        return [wrench_at(name, load, stamps) for name, load in samples.items()]
+        return [wrench_at(file, name, load, stamps) for name, load in samples.items()]
 
     return at, tuple(samples)
 

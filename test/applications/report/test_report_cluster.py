@@ -112,7 +112,7 @@ def test_without_dask_the_line_that_brings_it_is_said(tmp_path, monkeypatch, cap
 
 
 def test_an_address_without_an_answer_is_bad_input(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr("mbd_ros.jobs.workers.cluster._CONNECT", 1.0)
+    monkeypatch.setattr("mbd_ros.jobs.workers.cluster._CONNECT_TIMEOUT", 1.0)
     words = ["report", "--scheduler", "tcp://127.0.0.1:9", "-o", str(tmp_path / "out")]
     assert main(words) == 2
     assert "--scheduler tcp://127.0.0.1:9" in capsys.readouterr().err
