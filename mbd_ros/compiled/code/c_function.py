@@ -251,7 +251,7 @@ def _statements(code: Instructions, cuts: Chunks, chunk: list[int]) -> Iterator[
 
 
 def _name(values: list[Value], number: int) -> str:
-    """What stands for a value in C."""
+    """Return the C expression of a value."""
     value = values[number]
     if value.constant:
         return f"R({_NAMED.get(value.constant, value.constant)})"
@@ -428,7 +428,7 @@ class Output(NamedTuple):
 
 
 class Instructions(NamedTuple):
-    """What a function computes.
+    """Values that a function computes.
 
     Attributes:
         name: Of the function.

@@ -53,7 +53,7 @@ def residual(
 
 
 def derivatives(equations: Equations) -> list[Any]:
-    """Of accelerations and rates by q, v, z, u and p, each of shape (nv + nz, ..)."""
+    """Derivatives of accelerations and rates by q, v, z, u and p, each of shape (nv + nz, ..)."""
     solution, nv, m = equations.chosen[1], equations.nv, len(equations.active_rows.J)
     columns = sum(equations.symbols[letter].shape[0] for letter in _BY)
     count = 8 * columns * nv  # at least, before any is made

@@ -116,7 +116,7 @@ class SymbolicKinematics:
         return objects(joint_forces(self._tree, placed, on_links))
 
     def search_path(self, path: Any, x: Any) -> Any:
-        """What a path finds by a search at a state, which is left to native code."""
+        """Return the result of a path search at a state, which is left to native code."""
         return self.searches.taut(path, self, x)
 
     @cached_property

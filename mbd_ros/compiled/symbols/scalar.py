@@ -181,7 +181,7 @@ def number(sx: Any) -> Number:
 
 
 def plain(value: Any) -> Any:
-    """What CasADi calculates with."""
+    """Return the form with which CasADi calculates."""
     if isinstance(value, Scalar):
         return value.sx
     return value.item() if isinstance(value, np.generic | np.ndarray) else value

@@ -47,7 +47,7 @@ class SearchedPaths:
 
     @property
     def places(self) -> Any:
-        """What the search needs, a column."""
+        """Inputs of the search, a column."""
         return ca.vertcat(*(entry for one in self for entry in one.places))
 
     def taut(self, path: Any, k: Any, x: Any) -> Taut:

@@ -181,7 +181,7 @@ def _dense(result: Any) -> Any:
 
 
 class Expressions:
-    """What the functions of a traced system give, one method a function."""
+    """Results of the functions of a traced system, one method for each function."""
 
     def __init__(self, equations: Equations) -> None:
         self._equations = equations
@@ -246,7 +246,7 @@ class Expressions:
         return [e.moving(a), ca.vertcat(*on.g)]
 
     def stay(self) -> list[Any]:
-        """What ends the g' of rows that are on, and these."""
+        """Return the velocity change that ends the g' of active rows, and these rates."""
         e, rows = self._equations, self._switched
         chosen, rates = rows.of(Reach.GAP, Reach.SLIP, Reach.FRICTION), rows.rates(e.velocity)
         left = [rates[i] for i in chosen]
@@ -295,7 +295,7 @@ class Expressions:
         return [e.moving(solution.a), ca.vertcat(*rows.g), e.health(solution)]
 
     def settle(self) -> list[Any]:
-        """What leads velocities onto the rows, and the rates that are left."""
+        """Return the correction of velocities onto the rows, and the remaining rates."""
         e = self._equations
         rates = e.rigid_rows.velocities(e.velocity)
         solution = e.beside(e.rigid_rows).solve([ZERO] * e.nv, [-one for one in rates])
@@ -318,7 +318,7 @@ class Expressions:
         return [ca.horzcat(*columns) if columns else ca.SX(e.nv, 0), share]
 
     def path_places(self) -> list[Any]:
-        """What the search of paths that wrap needs."""
+        """Return the inputs of the search of wrapping paths."""
         return [self._equations.k.searches.places]
 
     def integrate(self) -> list[Any]:
@@ -336,7 +336,7 @@ class Expressions:
         return implicit.derivatives(self._equations)
 
     def residual(self) -> list[Any]:
-        """What the equations of motion leave of given accelerations and multipliers."""
+        """Return the residual of the equations of motion for accelerations and multipliers."""
         e = self._equations
         a, lam = (scalars(e.symbols[key]) for key in "al")
         return [implicit.residual(e, a, lam)]

@@ -74,7 +74,7 @@ class UnilateralRows:
         self.bias = [self._biased(i) for i in chosen]
 
     def _trace_rows(self, system: SymbolicSystem) -> None:
-        """What all modes share."""
+        """Trace what all modes share."""
         bounded, event_driven = system.system.bounded, system.system.event_rows
         if bounded is not None:
             name = bounded.constraints.rows[0].name
@@ -101,7 +101,7 @@ class UnilateralRows:
         return self._conditions[i] + sum(terms)
 
     def gaps(self) -> dict[int, Any]:
-        """What one-sided rows of positions keep from becoming negative, by their slots.
+        """Return the gaps, which one-sided rows keep from becoming negative, by their slots.
 
         Raises:
             Untraceable: Another row, whose force jumps with a slip or a limit.
@@ -115,7 +115,7 @@ class UnilateralRows:
         return gaps
 
     def multipliers(self, lam: Sequence[Any]) -> list[Any]:
-        """Of all these rows, SX scalars, from those of the rows that are on."""
+        """Return the multipliers of all rows, SX scalars, from those of active rows."""
         solved = iter(lam)
         return [
             next(solved) if not entry else (self._lower if entry == 1 else self._upper)[i]
@@ -135,7 +135,7 @@ class UnilateralRows:
         return self.pushes(self.multipliers([ZERO] * len(self.on.J)))
 
     def margins(self, a: Sequence[Any], lam: Sequence[Any], v: Sequence[Any]) -> dict[Margin, Any]:
-        """What is positive while the mode goes on, by row, as `ModeField.margins`.
+        """Return the margins, positive while the mode lasts, by row, see `ModeField.margins`.
 
         Args:
             a: Accelerations of all joints, SX scalars.
@@ -161,7 +161,7 @@ class UnilateralRows:
         return margins
 
     def _grip(self, normal: int, lam: Sequence[Any]) -> Any:
-        """What is left of friction that sticks to its largest, by the row of the normal."""
+        """Return the margin of sticking friction to its limit, by the row of the normal."""
         push, x, y = lam[normal : normal + 3]
         return self._mu[normal] * push - ca.sqrt(x * x + y * y)
 
@@ -239,7 +239,7 @@ class SwitchedRows(UnilateralRows):
         return self._mu[i] * slip.is_on * x, self._mu[i] * slip.is_on * y
 
     def _pushed(self, i: int, rub: tuple[Any, Any]) -> dict[int, Any]:
-        """What the normal of a contact pushes along, its friction included."""
+        """Return the force direction of a contact, including its friction."""
         push, open_rows = dict(self.on.J[i]), self._open.J
         for share, row in zip(rub, open_rows[i + 1 : i + 3], strict=True):
             for j, value in row.items():
@@ -266,7 +266,7 @@ class SwitchedRows(UnilateralRows):
         return [i for i, reach in enumerate(self._reach) if reach in kinds]
 
     def multipliers(self, lam: Sequence[Any]) -> list[Any]:
-        """Of all rows, SX scalars, from the multipliers of those that are on."""
+        """Return the multipliers of all rows, SX scalars, from those of active rows."""
         forces = []
         each = zip(self._mode_entries, self._off, self._lower, self._upper, lam, strict=True)
         for entry, off, lower, upper, solved in each:
@@ -321,7 +321,7 @@ class SwitchedRows(UnilateralRows):
         return keeps * (1.0 + follows)
 
     def answers(self, a: Sequence[Any], lam: Sequence[Any]) -> tuple[list[Any], list[Any]]:
-        """What multipliers are within their bounds, demands at a limit, and rates of slips.
+        """Return margins of multipliers to their bounds, demands at a limit, and slip rates.
 
         Args:
             a: Accelerations of all joints, SX scalars.
@@ -370,7 +370,7 @@ class SwitchedRows(UnilateralRows):
         return step
 
     def _room(self, i: int, every: Sequence[Any]) -> list[Any]:
-        """What is left of a multiplier to its bounds."""
+        """Return the distances of a multiplier to its bounds."""
         if self._reach[i] is Reach.FRICTION:
             return [self._grip(i - 1, every)] if i - 1 in self._mu else []
         lam, lower, upper = every[i], self._lower[i], self._upper[i]
@@ -397,7 +397,7 @@ class Slip(NamedTuple):
 
     @property
     def direction(self) -> tuple[Any, Any]:
-        """What friction is against."""
+        """Direction that friction opposes."""
         length, (x, y), (a, b) = self._length, self.along, self.name
         size = ca.if_else(self.size > 0.0, self.size, 1.0)
         turned = ca.if_else(x * a + y * b < 0.0, -size, size)

@@ -27,7 +27,7 @@ Near = Callable[[Array, Array | None, float], Whole]
 
 
 class PairModel(NamedTuple):
-    """What pairs exert on one another.
+    """Forces between pairs of particles.
 
     Attributes:
         box: Edges of the periodic box, shape (3,); None without one.

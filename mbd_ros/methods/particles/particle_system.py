@@ -74,7 +74,7 @@ class ParticleSystem:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Of each point."""
+        """Return the value of each point."""
         return tuple(name for kind in self.kinds for name in kind.labels)
 
     @cached_property

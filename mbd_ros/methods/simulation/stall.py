@@ -121,7 +121,7 @@ def _joint(system: System, share: Array) -> str:
 
 
 def _mover(system: System, share: Array) -> str:
-    """What has the largest share, among joints and internal states."""
+    """Return the joint or internal state with the largest share."""
     beyond = int(share.argmax()) - system.nv
     return _joint(system, share[: system.nv]) if beyond < 0 else system.internals.names[beyond]
 

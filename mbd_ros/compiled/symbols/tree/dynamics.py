@@ -230,7 +230,7 @@ class Articulated(NamedTuple):
 
 
 class _Pivot(NamedTuple):
-    """What the backward sweep leaves for the forward one, of a joint with one coordinate.
+    """Results of the backward sweep for the forward one, of a joint with one coordinate.
 
     Attributes:
         force: Force that a unit of joint acceleration takes, part of U.
@@ -268,7 +268,7 @@ def _pivot(body: Placed, inertia: Articulated, on: Needed, tau: Any) -> _Pivot:
 
 
 def _left(body: Placed, inertia: Articulated, pivot: _Pivot) -> Articulated:
-    """What a parent feels of a link whose joint gives way: I - U U' / d."""
+    """Return the articulated inertia that a parent feels: I - U U' / d."""
     fs, ts = turns.times(pivot.share, pivot.force), turns.times(pivot.share, pivot.torque)
     A = _less(inertia.A, pivot.force, fs)
     B = combined(inertia.B, _outer(pivot.force, ts), -1)

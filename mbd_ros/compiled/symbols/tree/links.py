@@ -167,7 +167,7 @@ def _axes(x: Array, z: Array) -> Array:
 
 
 def _own_inertia(model: Any, j: int, seat: Any) -> Inertia:
-    """Of the links of a joint, in the axes of its `seat`."""
+    """Return the inertia of the links of a joint, in the axes of its `seat`."""
     fixed, back = model.inertias[j], seat.inverse()
     about = fixed.inertia - fixed.mass * (skew(fixed.lever) @ skew(fixed.lever))
     at_joint = Inertia(fixed.mass, fixed.mass * fixed.lever, about)
@@ -214,7 +214,7 @@ def cosine_and_sine(angle: float) -> tuple[float, float]:
 
 
 def split(kind: str, inertia: Inertia) -> tuple[Inertia, Inertia]:
-    """What a link keeps, and what its joint cannot move, which its parent may have."""
+    """Split an inertia into the part of its link and the part that moves to its parent."""
     nothing = np.zeros(3), np.zeros((3, 3))
     if kind == FREE:
         return inertia, Inertia(0.0, *nothing)

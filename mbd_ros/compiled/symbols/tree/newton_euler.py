@@ -35,7 +35,7 @@ _NO_U = turns.matrix(np.zeros((3, 3)))
 
 
 class Needed(NamedTuple):
-    """What a link needs to move as it does.
+    """Force and torque that the motion of a link requires.
 
     Attributes:
         force: [N].

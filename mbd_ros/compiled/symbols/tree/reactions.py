@@ -1,4 +1,4 @@
-"""What joints pass on, as expressions: the backward sweep of Newton and Euler over all links.
+"""Joint reactions as expressions: the backward sweep of Newton and Euler over all links.
 
 The wrench of a joint on its child is what the links beyond need to move, less what else acts on
 them: forces on bodies, multipliers of constraints and, where they are asked for, pulls of muscles.
@@ -76,7 +76,7 @@ class SymbolicReactions:
         return wrenches
 
     def _of_loads(self, *, muscles: bool) -> list[Wrench]:
-        """What actuators exert on bodies, or all other loads."""
+        """Return the wrenches of actuators on bodies, or those of all other loads."""
         e, wrenches = self._e, list[Wrench]()
         count = len(e.system.loads.actuators)
         for part in e.loads[:count] if muscles else e.loads[count:]:
@@ -100,7 +100,7 @@ class SymbolicReactions:
         return placed, needed(tree, placed, v, a, turns.vector(falls))
 
     def _summed(self, wrenches: Sequence[Wrench]) -> list[Needed]:
-        """What all links from each one on need, less some wrenches, about its origin."""
+        """Return the wrench on each link from all links beyond it, less some wrenches."""
         placed, on_links = self._moving
         sums = list(on_links)
         for wrench in wrenches:
