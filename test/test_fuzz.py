@@ -235,6 +235,9 @@ FOUND = {  # made when they are asked for, from the seeds of a kind
     "an array of half precision": lambda: arrays_of(
         ".npz", 0, "m.npz", samples_j1_velocity=np.ones(8, np.float16)
     ),
+    "times of half precision": lambda: arrays_of(
+        ".npz", 1, "m.npz", samples_time=np.arange(1, 9, dtype=np.float16) / 100
+    ),
     "an array with fewer rows": lambda: arrays_of(
         ".npz", 1, "m.npz", samples_j1_velocity=np.ones(3)
     ),

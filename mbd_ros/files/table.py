@@ -320,7 +320,13 @@ def stamps_of(table: Table) -> NDArray[np.int64]:
     """Stamps [ns] of the rows of a table, shape (n,)."""
     if STAMP in table and table[STAMP].dtype.kind == "i":
         return table[STAMP].astype(np.int64)
-    return rounded(table[TIME])
+    return rounded(_times(table))
+
+
+def _times(table: Table) -> Array:
+    """Column `time` [s]; half precision, whose numbers end at 65504, could hold no stamps."""
+    time = table[TIME]
+    return time.astype(np.float64) if time.dtype == np.float16 else time
 
 
 def rounded(time: Array) -> NDArray[np.int64]:
@@ -341,7 +347,7 @@ def motion_stamps(table: Table, where: str) -> NDArray[np.int64]:
     if STAMP in table and table[STAMP].dtype.kind == "i":
         stamps = table[STAMP].astype(np.int64)
     else:
-        time = table[TIME]
+        time = _times(table)
         if not np.abs(time).max(initial=0.0) <= TIME_LIMIT:
             raise DataError(f"{where}: column time: beyond {TIME_LIMIT:g} s")
         stamps = np.round(time * 1e9).astype(np.int64)

@@ -27,6 +27,7 @@ SECONDS = 10.0  # of work: others may use the machine, too
 PATIENCE = 120.0  # s in all, for one that waits and does not work
 LONGEST = 2000  # characters of a message
 NOT_FINITE = re.compile(r"(?<![\w.])(?<!\.\. )[-+]?(nan|inf)(?![\w.]| \.\.)", re.IGNORECASE)
+LABELS = re.compile(r"(?m)^recorded and not in the scene: .*")  # names, "inf" among them
 CONTROL = re.compile(r"[^\n\x20-\x7e\xa0-\u2027\u202f-\u2065\u2070-\ufefe\uff00-\U0010ffff]")
 EARLIER = b"time,earlier\n0.0,1.0\n"
 
@@ -192,7 +193,7 @@ def _of_streams(
     if control := CONTROL.search(ended.said + ended.told):
         around = (ended.said + ended.told)[max(control.start() - 60, 0) : control.end() + 20]
         found.append(f"control character: {around!r}")
-    shown = ended.said.replace(folder, "")
+    shown = LABELS.sub("", ended.said.replace(folder, ""))
     word = NOT_FINITE.search(shown)
     if ended.code == 0 and word is not None and not _is_name(word, given):
         line = shown[shown.rfind("\n", 0, word.start()) + 1 :].partition("\n")[0]
