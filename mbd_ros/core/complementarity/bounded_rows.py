@@ -288,19 +288,21 @@ class PushImpulses:
             speed: As for `solve`.
         """
         p, rate = np.zeros((2, len(b)))
-        own = self._unit * b[self._mobile]
-        if (own >= 0.0).all():
+        scaled_rates = self._unit * b[self._mobile]
+        if (scaled_rates >= 0.0).all():
             return p, rate
-        G, size = self._G, max(speed, float(np.abs(own).max()))
-        own = own / size  # c is of the order of 1, however slow the motion is
-        c = np.asarray(np.linalg.lstsq(G.T, own, rcond=FIXED_BY_OTHERS)[0], dtype=np.float64)
-        off = own - G.T.dot(c)
+        G, size = self._G, max(speed, float(np.abs(scaled_rates).max()))
+        scaled_rates = scaled_rates / size  # c is of the order of 1, however slow the motion is
+        c = np.asarray(
+            np.linalg.lstsq(G.T, scaled_rates, rcond=FIXED_BY_OTHERS)[0], dtype=np.float64
+        )
+        off = scaled_rates - G.T.dot(c)
         if np.abs(off).max() <= _SAME:
             p[self._mobile] = size * self._unit * _shared(G, c, _least(G, c))
             return p, rate
-        yielding = np.concatenate((G, _GIVES * np.eye(len(own))))
+        yielding = np.concatenate((G, _GIVES * np.eye(len(scaled_rates))))
         push = _least(yielding, np.concatenate((c, off / _GIVES)))
-        rate[self._mobile] = own + G.T.dot(G.dot(push))
+        rate[self._mobile] = scaled_rates + G.T.dot(G.dot(push))
         p[self._mobile] = size * self._unit * push
         return p, rate
 

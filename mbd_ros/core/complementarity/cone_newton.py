@@ -114,20 +114,20 @@ class ConeNewton:
     ) -> tuple[Array, Seen]:
         """Return impulses after a step or a part of it, and the map there."""
         after = p + step
-        found = self.see(b, bounds, after)
+        residual = self.see(b, bounds, after)
         if not halvings:
-            return after, found
+            return after, residual
         size, share = float(seen.left.dot(seen.left)), 1.0
-        best, smallest = (after, found), float(found.left.dot(found.left))
+        best, smallest = (after, residual), float(residual.left.dot(residual.left))
         for _ in range(halvings):
             if smallest <= (1.0 - _ENOUGH) * size:
                 break
             share *= 0.5
             after = p + share * step
-            found = self.see(b, bounds, after)
-            now = float(found.left.dot(found.left))
+            residual = self.see(b, bounds, after)
+            now = float(residual.left.dot(residual.left))
             if not now >= smallest:
-                best, smallest = (after, found), now
+                best, smallest = (after, residual), now
         return best
 
     def _step(self, seen: Seen, bounds: Bounds, p: Array) -> Array:
@@ -255,7 +255,7 @@ def cone_places(m: int, normals: tuple[int, ...]) -> ConePlaces:
     return ConePlaces(np.stack((first, second)), friction, turns)
 
 
-def kept(contacts: Contacts, bounds: Bounds, seen: Seen, p: Array) -> Array:
+def active_set(contacts: Contacts, bounds: Bounds, seen: Seen, p: Array) -> Array:
     """Impulses within their bounds and cones, fresh; those of rows that do not hold are at one."""
     others, normal, first, second, mu = contacts
     p = p.copy()

@@ -176,7 +176,7 @@ def every_answer(A: Array, b: Array, mu: float, least: float, slack: float) -> A
         if np.abs(b - answered).max() <= _ACCEPTED * np.abs(b).max() + slack:
             b = answered
     given, rates = A.tolist(), b.tolist()
-    size, found, smallest = size_of(given, rates, least), np.zeros(3), math.inf
+    size, solution, smallest = size_of(given, rates, least), np.zeros(3), math.inf
     for p in _answers(A, b, mu, least):
         left = residual(given, rates, p.tolist(), mu, least)
         if np.abs(p).max() > _LARGE * size:  # it rounds what is left
@@ -184,9 +184,9 @@ def every_answer(A: Array, b: Array, mu: float, least: float, slack: float) -> A
         if left <= _EXACT * size:
             return p
         if left < smallest:
-            found, smallest = p, left
+            solution, smallest = p, left
     if smallest <= _ACCEPTED * size + slack / float(A[0, 0]):
-        return found
+        return solution
     raise SolveError(f"no impulse of a contact with friction {mu:g} answers {b.tolist()}")
 
 
@@ -218,7 +218,7 @@ def friction_at(A: Array, b: Array, most: float) -> Array:
         return np.zeros(2)
     disc = _Tangents(A, b, float(A.diagonal().max()))
     alpha = 0.0 if math.hypot(*disc.at(0.0)) <= most else disc.root(most)
-    p = disc.whole(alpha)
+    p = disc.impulse(alpha)
     size = math.hypot(*p)
     return p if size <= most else p * (most / size)
 
@@ -248,7 +248,7 @@ class _Tangents:
         pairs = zip(self._c, self._s, strict=True)
         return np.array([-c / max(s + alpha, _NO_MOBILITY) if c else 0.0 for c, s in pairs])
 
-    def whole(self, alpha: float) -> Array:
+    def impulse(self, alpha: float) -> Array:
         """Return the p, shape (2,)."""
         return self.axes.dot(self.at(alpha))
 
@@ -282,11 +282,11 @@ class _Tangents:
         if scale == 0.0:
             return
         (s1, s2), (c1, c2) = ((x / scale, y / scale) for x, y in (self._s, self._c))
-        one, other = np.array((1.0, s1)), np.array((1.0, s2))
-        product = np.convolve(one, other)
+        first, other = np.array((1.0, s1)), np.array((1.0, s2))
+        product = np.convolve(first, other)
         normal = ahead * product
-        normal[1:] -= along[0] * c1 * other + along[1] * c2 * one
-        quartic = c1 * c1 * np.convolve(other, other) + c2 * c2 * np.convolve(one, one)
+        normal[1:] -= along[0] * c1 * other + along[1] * c2 * first
+        quartic = c1 * c1 * np.convolve(other, other) + c2 * c2 * np.convolve(first, first)
         quartic = np.concatenate(((0.0, 0.0), quartic)) - mu * mu * np.convolve(normal, normal)
         roots = np.roots(quartic)
         real = roots.real[np.abs(roots.imag) <= _DOUBLE * (np.abs(roots.real) + 1.0)]

@@ -32,7 +32,7 @@ from mbd_ros.core.complementarity.cone_newton import (
     ConeNewton,
     Contacts,
     Seen,
-    kept,
+    active_set,
     shortest,
 )
 from mbd_ros.core.complementarity.contact_cone import cone_contact, cone_residuals
@@ -273,7 +273,7 @@ class ScaledContacts:
             self._newton.seen = self._newton.see(b, bounds, p)
         if left > max(accepted, enough):
             raise SolveError(self._failed())
-        p = kept(self._newton.contacts, bounds, self._newton.seen, p)
+        p = active_set(self._newton.contacts, bounds, self._newton.seen, p)
         if shared and self._newton.depends and p.any():
             p = self._shortest(b, bounds, p)
         answer[at] = unit * p
@@ -299,12 +299,12 @@ class ScaledContacts:
         seen = newton.seen
         exact = _ENOUGH * (1.0 + float(np.abs(p).max()))
         most = max(exact, float(np.abs(seen.left).max()))
-        found = least_impulses(newton, seen, bounds, p, self._unit)
-        left = float(np.abs(newton.see(b, bounds, found).left).max())
+        impulses = least_impulses(newton, seen, bounds, p, self._unit)
+        left = float(np.abs(newton.see(b, bounds, impulses).left).max())
         if left > most:
-            found, left = newton.solve(b, bounds, found, _POLISH)
-            found = kept(newton.contacts, bounds, newton.seen, found)
-        return found if left <= most else p
+            impulses, left = newton.solve(b, bounds, impulses, _POLISH)
+            impulses = active_set(newton.contacts, bounds, newton.seen, impulses)
+        return impulses if left <= most else p
 
     def left(self, p: Array, b: Array, lower: Array, upper: Array) -> tuple[float, float]:
         """Return the residuals of the laws: of normals and bounded rows, and of slips [m/s]."""
@@ -437,20 +437,20 @@ def least_impulses(newton: ConeNewton, seen: Seen, bounds: Bounds, p: Array, uni
         unit: Of the impulses, shape (m,): the norm is that of unit p.
     """
     shares = _shares(newton, seen, bounds, p, unit)
-    columns, given = _columns(shares, len(p)), unit * p
+    columns, impulses = _columns(shares, len(p)), unit * p
     count, does = columns.shape[1], newton.A.dot(columns / unit[:, None])
     if not count:
         return p
-    sought = columns.T.dot(given)
+    sought = columns.T.dot(impulses)
     shares_of_all, rank = shortest(does, does.dot(sought))
     if rank == count:
         return p
-    size = float(np.abs(given).max())
-    target = given + columns.dot(shares_of_all - sought)
-    within = _nearest(shares, given, target)
+    size = float(np.abs(impulses).max())
+    target = impulses + columns.dot(shares_of_all - sought)
+    within = _nearest(shares, impulses, target)
     if np.abs(within - target).max() > _BEYOND * size:
         basis = np.linalg.qr(columns.dot(_null(does)))[0]
-        found = _projected(shares, basis, given / size, target / size)
+        found = _projected(shares, basis, impulses / size, target / size)
         if found is None:
             return p
         within = size * found
@@ -509,9 +509,9 @@ def _columns(shares: _Shares, m: int) -> Array:
     return columns
 
 
-def _nearest(shares: _Shares, given: Array, y: Array) -> Array:
+def _nearest(shares: _Shares, impulses: Array, y: Array) -> Array:
     """The point of all bounds and cones that is nearest to y; impulses that stay are given."""
-    p = given.copy()
+    p = impulses.copy()
     for i, low, high in shares.rows:
         p[i] = min(max(float(y[i]), low), high)
     for i, least, mu in shares.sticks:
@@ -529,30 +529,30 @@ def _null(B: Array) -> Array:
     return null
 
 
-def _projected(shares: _Shares, basis: Array, given: Array, y: Array) -> Array | None:
+def _projected(shares: _Shares, basis: Array, impulses: Array, y: Array) -> Array | None:
     """Return the shortest impulses within bounds and cones that do the same; None where not found.
 
     Args:
         shares: Which impulses may change.
         basis: Changes that do nothing, orthonormal, shape (m, k).
-        given: Impulses, of the order of 1.
+        impulses: Impulses, of the order of 1.
         y: Where to begin.
     """
     seen = np.eye(len(y)) - basis.dot(basis.T)
 
     def height(y: Array, p: Array) -> float:
-        return float(0.5 * (y.dot(y) - (y - p).dot(y - p)) - y.dot(given))
+        return float(0.5 * (y.dot(y) - (y - p).dot(y - p)) - y.dot(impulses))
 
-    p = _nearest(shares, given, y)
+    p = _nearest(shares, impulses, y)
     for _ in range(_NEAREST_STEPS):
-        left = seen.dot(p - given)
+        left = seen.dot(p - impulses)
         if np.abs(left).max() <= _SAME:
             return p
         step = -shortest(seen.dot(_slope(shares, y)).dot(seen), left)[0]
         before, falls, share = height(y, p), float(left.dot(step)), 1.0
         for _ in range(_NEAREST_HALVINGS):
             after = y + share * step
-            p = _nearest(shares, given, after)
+            p = _nearest(shares, impulses, after)
             if height(after, p) <= before + _NEAREST_ENOUGH * share * falls:
                 break
             share *= 0.5

@@ -116,16 +116,16 @@ class ContactForces:
             if touch is Touch.MAY
         )
         lam = np.where(acts, 0.0, lower)
-        own, rate = A[np.ix_(on, on)], (w + A.dot(lam))[on]
-        size = np.abs(own.diagonal())
+        delassus, rate = A[np.ix_(on, on)], (w + A.dot(lam))[on]
+        size = np.abs(delassus.diagonal())
         speed = float((np.abs(rate) / np.sqrt(np.where(size > 0.0, size, 1.0))).max(initial=0.0))
         names = [self._names[i] for i in on]
         try:
-            problem = ContactProblem(own, own.diagonal(), names, cones)
+            problem = ContactProblem(delassus, delassus.diagonal(), names, cones)
             lam[on] = problem.solve(rate, lower[on], upper[on], speed)
         except SolveError as error:
             slips = [at for at, touch in zip(first, touches, strict=True) if touch in _SLIPS]
-            if slips and _jams(own[np.ix_(slips, slips)]):
+            if slips and _jams(delassus[np.ix_(slips, slips)]):
                 where = ", ".join(names[at] for at in slips)
                 raise JammedError(
                     f"friction leaves {where} no consistent acceleration (Painlevé)"

@@ -357,8 +357,8 @@ def bound_forces(
     k, is_at_lower = motion.mechanism.k, np.array(mode[:n]) == 1
     pairs = zip(rows.parts, rows.slices, strict=True)
     constant = np.where(is_at_lower, rows.lower, rows.upper)
-    acting = [(part, at) for part, at in pairs if rows.varies or constant[at].any()]
-    reads = max((part.reads for part, _ in acting), default=Reads.NOTHING)
+    active = [(part, at) for part, at in pairs if rows.varies or constant[at].any()]
+    reads = max((part.reads for part, _ in active), default=Reads.NOTHING)
 
     def add_forces(y: State, a: Array) -> Array:
         joint_q, joint_v, joint_a = motion.joint_motion(y.q, y.v, a)
@@ -368,8 +368,8 @@ def bound_forces(
         if rows.varies:
             rows.limit(k, x)
             lam = np.where(is_at_lower, rows.lower, rows.upper)
-        force = sum(lam[at].dot(part.jacobian(k, x)) for part, at in acting)
+        force = sum(lam[at].dot(part.jacobian(k, x)) for part, at in active)
         response = motion.respond(y.q, np.reshape(force, (-1, 1)))[:, 0]
         return cast(Array, motion.coordinates.integrated(joint_a + response))
 
-    return add_forces if acting else None
+    return add_forces if active else None

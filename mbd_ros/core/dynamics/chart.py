@@ -88,13 +88,13 @@ def chart_of(model: Any, velocities: Iterable[int]) -> Chart:
     Args:
         velocities: Where these coordinates stand in v, ascending.
     """
-    chosen, own = {int(v) for v in velocities}, pin.Model()
+    chosen, single_joint = {int(v) for v in velocities}, pin.Model()
     for joint, name in zip(model.joints, model.names, strict=True):
         if joint.nv and joint.idx_v in chosen:
             is_free = joint.nv == _BASE_V
             kind = pin.JointModelFreeFlyer() if is_free else pin.JointModelPX()
-            own.addJoint(0, kind, pin.SE3.Identity(), name)
-    return Chart(own)
+            single_joint.addJoint(0, kind, pin.SE3.Identity(), name)
+    return Chart(single_joint)
 
 
 def _rate_on_screws(dq: Array, v: Array) -> Array:

@@ -243,20 +243,20 @@ def settled(system: System, y: State, u: Array | None) -> State:
     rows = _determining(all_rates, z[free], free, internals.upper[free])
 
     def rates(values: Array) -> Array:
-        found: Array = all_rates(values)[rows]
-        return found
+        settled_rates: Array = all_rates(values)[rows]
+        return settled_rates
 
     bounds = internals.lower[free], internals.upper[free]
-    found = _at_rest(rates, z[free], bounds)
-    if found is None:
-        found = _at_rest(rates, _followed(rates, z[free], bounds), bounds)
-    if found is None:
+    settled_rates = _at_rest(rates, z[free], bounds)
+    if settled_rates is None:
+        settled_rates = _at_rest(rates, _followed(rates, z[free], bounds), bounds)
+    if settled_rates is None:
         names = ", ".join(internals.names[i] for i in free)
         raise SolveError(
             f"no equilibrium of {names} at t = {y.t:.9g} s was found; give values in "
             "initial.internal"
         )
-    z[free] = found
+    z[free] = settled_rates
     return y._replace(z=z)
 
 

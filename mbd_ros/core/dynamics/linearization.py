@@ -212,17 +212,17 @@ class FreeDerivatives:
         if self._mechanism.loads.is_empty:
             return None
         nv, nz = self._nv, self._nz
-        found = np.empty((nv + nz, 2 * nv + nz + nu))
-        found[:, : 2 * nv + nz] = self._constant
+        slopes = np.empty((nv + nz, 2 * nv + nz + nu))
+        slopes[:, : 2 * nv + nz] = self._constant
         if self._varying:
-            self._differ(y, u, found)
+            self._differ(y, u, slopes)
         for i in range(nu):
             moved = u.copy()
             moved[i] += _STEP * max(1.0, abs(float(u[i])))
-            found[:, 2 * nv + nz + i] = (self._loads(y, moved) - force) / (moved[i] - u[i])
-        return found
+            slopes[:, 2 * nv + nz + i] = (self._loads(y, moved) - force) / (moved[i] - u[i])
+        return slopes
 
-    def _differ(self, y: State, u: Array, found: Array) -> None:
+    def _differ(self, y: State, u: Array, slopes: Array) -> None:
         """Add the slopes of the loads that do not know them, by q, v and z."""
         nv, here = self._nv, self._of_varying(y, u)
         inside, step = self._internals.upper, np.zeros(2 * nv + self._nz)
@@ -230,7 +230,7 @@ class FreeDerivatives:
             step[i] = _STEP
             if i >= 2 * nv and y.z[i - 2 * nv] + _STEP > inside[i - 2 * nv]:
                 step[i] = -_STEP
-            found[:, i] += (self._of_varying(self._chart.plus(y, step), u) - here) / step[i]
+            slopes[:, i] += (self._of_varying(self._chart.plus(y, step), u) - here) / step[i]
             step[i] = 0.0
 
     def _of_varying(self, y: State, u: Array) -> Array:

@@ -62,19 +62,19 @@ class Showing:
         """
         if not self._counted and not self._internals.nz:
             return multipliers
-        shown = self._asked(self._counted, x, u, a, multipliers)
+        shown = self._values_of(self._counted, x, u, a, multipliers)
         return np.concatenate(
             [multipliers, x.z, *(v for output, v in shown if _is_number(output))]
         )
 
     def wrenches(self, x: State, u: Array, a: Array, multipliers: Array) -> list[Wrench]:
         """Values of `arrows`, with where each begins; arguments and errors are those of `at`."""
-        shown = self._asked(self._drawn, x, u, a, multipliers)
+        shown = self._values_of(self._drawn, x, u, a, multipliers)
         return [self._wrench(*each) for each in shown if _is_arrow(each[0])]
 
     def cones_at(self, x: State, u: Array, a: Array, multipliers: Array) -> list[FrictionCone]:
         """Return values of `cones`; arguments and errors are those of `at`."""
-        shown = self._asked(self._coned, x, u, a, multipliers)
+        shown = self._values_of(self._coned, x, u, a, multipliers)
         return [
             FrictionCone(value[:3], value[3:6], float(value[6]))
             for output, value in shown
@@ -86,7 +86,7 @@ class Showing:
             return Wrench(output.frame, value[:3], value[3:6], value[6:])
         return Wrench(output.frame, self._k.position(output.at), value[:3], value[3:])
 
-    def _asked(
+    def _values_of(
         self,
         parts: Sequence[tuple[Part, slice]],
         x: State,

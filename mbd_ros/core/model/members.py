@@ -108,11 +108,14 @@ def _origin(members: Sequence[_Member]) -> Array:
 def _model(members: Sequence[_Member], origin: Array) -> Any:
     model = pin.Model()
     for member in members:
-        model_source, own = member.model_source, member.robot.model.copy()
-        own.names[:] = ["universe", *(model_source.scoped(name) for name in list(own.names)[1:])]
-        for frame in list(own.frames)[1:]:
+        model_source, member_model = member.model_source, member.robot.model.copy()
+        member_model.names[:] = [
+            "universe",
+            *(model_source.scoped(name) for name in list(member_model.names)[1:]),
+        ]
+        for frame in list(member_model.frames)[1:]:
             frame.name = _frame_name(member, frame)
-        model = pin.appendModel(model, own, 0, _placement(member, origin))
+        model = pin.appendModel(model, member_model, 0, _placement(member, origin))
         if model_source.name and not model.existFrame(model_source.name):
             root = model.frames[model.getFrameId(member.link(member.root), pin.FrameType.BODY)]
             parent = model.getFrameId(root.name, pin.FrameType.BODY)

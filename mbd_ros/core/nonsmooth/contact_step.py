@@ -211,13 +211,13 @@ class ContactSolver(UnilateralSolver):
         response = problem.response
         A, solver = self._of(response, chosen, on)
         known = *self._bounds(problem, chosen.at), problem.speed(free)
-        kept = self._kept_bend(problem, on, A)
-        b = problem.J[on].dot(free) + problem.offset[on] + (kept - problem.bend[on])
+        known_bend = self._kept_bend(problem, on, A)
+        b = problem.J[on].dot(free) + problem.offset[on] + (known_bend - problem.bend[on])
         room = problem.rates_left(on)
         b += np.where(room <= _NO_ROOM * np.abs(b), 0.0, room)
         warm = self.last[chosen.at]
         subproblem = ContactSubproblem(
-            problem, chosen, on, A, solver, b, kept, known, warm, near is not None
+            problem, chosen, on, A, solver, b, known_bend, known, warm, near is not None
         )
         p = None if near is None else self._sliding(subproblem, near)
         if p is None:
@@ -428,18 +428,18 @@ class ContactScreening(StepRows):
         self._data = mechanism.data
         self._m = len(rows.rows)
         blocks = list(zip(rows.blocks, rows.slices, strict=True))
-        own = [(block.part, at) for block, at in blocks if block.law.kind is Kind.CONE]
+        contacts = [(block.part, at) for block, at in blocks if block.law.kind is Kind.CONE]
         others = [(block, at) for block, at in blocks if block.law.kind is not Kind.CONE]
-        self._contacts = [(part, np.arange(at.start, at.stop)) for part, at in own]
+        self._contacts = [(part, np.arange(at.start, at.stop)) for part, at in contacts]
         self._others = ConstraintRows([block for block, _ in others], int(mechanism.model.nv))
         is_other = np.zeros(self._m, dtype=np.bool_)
         for _, at in others:
             is_other[at] = True
         self._at_others = np.flatnonzero(is_other)
         self._others_push = bool(self.all_rows.pushes[is_other].any())
-        self._speed = GapSpeed(mechanism.robot, [bodies_of(part) for part, _ in own])
+        self._speed = GapSpeed(mechanism.robot, [bodies_of(part) for part, _ in contacts])
         self._last_response: tuple[Array, Array, ImpulseResponse] | None = None
-        self._room = np.zeros(len(own))
+        self._room = np.zeros(len(contacts))
         self._spare = 0.0
         self._q = mechanism.zero
         self._displacement = mechanism.zero
@@ -478,26 +478,26 @@ class ContactScreening(StepRows):
         if rows.varies:
             rows.limit(k, x)
         at: list[NDArray[np.intp]] = []
-        found: list[tuple[Array, ...]] = []
+        pieces: list[tuple[Array, ...]] = []
         if len(self._at_others):
             J, drift = others.accelerations(k, x)
             at.append(self._at_others)
-            found.append((J, drift, others.residual(k, x), others.rate(k, x)))
+            pieces.append((J, drift, others.residual(k, x), others.rate(k, x)))
         for i in looked_at:
-            part, own = self._contacts[i]
+            part, slots = self._contacts[i]
             gap = part.residual(k, x)
             near = np.repeat(gap[::3] < ways[i], 3)
             if near.any():
                 each = *part.accelerations(k, x), gap, part.rate(k, x)
                 is_whole = near.all()
-                at.append(own if is_whole else own[near])
-                found.append(each if is_whole else tuple(array[near] for array in each))
-        if not found:
+                at.append(slots if is_whole else slots[near])
+                pieces.append(each if is_whole else tuple(array[near] for array in each))
+        if not pieces:
             return self._nothing
-        if len(found) == 1 and at[0] is not self._at_others:
-            J, *known = found[0]
+        if len(pieces) == 1 and at[0] is not self._at_others:
+            J, *known = pieces[0]
             return RowsAt(self._row_set(at[0]), _rounded(J), *known)
-        J, *stacked = (np.concatenate(each) for each in zip(*found, strict=True))
+        J, *stacked = (np.concatenate(each) for each in zip(*pieces, strict=True))
         return RowsAt(self._row_set(np.concatenate(at)), _rounded(J), *stacked)
 
     def response(self, without_rows: ImpulseResponse, K: Array, J: Array) -> ImpulseResponse:

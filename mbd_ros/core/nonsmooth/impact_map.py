@@ -81,14 +81,14 @@ class ImpactMap:
             hold, goal = self._rigid.jacobian(x.t, x.q), -self._rigid.rate(x.t, x.q)
             factor = self._rigid.factorise(M, hold)
         response = ImpulseResponse(M, J, hold, factor)
-        v, held = response.constrain(x.v, goal)
+        v, bilateral_impulse = response.constrain(x.v, goal)
         approach, speed = J.dot(v) + rate, max(float(v.dot(M).dot(v)), 0.0) ** 0.5
         e = self._restitution[slots] if expands else np.zeros(len(slots))
         impulse, share = self._impulses(slots, response, cones, e, approach, speed)
-        held = held + response.bilateral(impulse)
+        bilateral_impulse = bilateral_impulse + response.bilateral(impulse)
         p = np.zeros(len(self._rows))
-        p[slots], p[self._bilateral] = impulse, held
-        return Impact(x.v + response.free(impulse.dot(J) + held.dot(hold)), p, share)
+        p[slots], p[self._bilateral] = impulse, bilateral_impulse
+        return Impact(x.v + response.free(impulse.dot(J) + bilateral_impulse.dot(hold)), p, share)
 
     def _impulses(
         self,

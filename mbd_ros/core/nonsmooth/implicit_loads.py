@@ -126,12 +126,12 @@ def mass_with(M: Array, added: Array) -> Array:
 
     Such a load makes motion grow: it is left to explicit steps.
     """
-    whole: Array = M + added
+    effective_mass: Array = M + added
     try:
-        np.linalg.cholesky(whole)
+        np.linalg.cholesky(effective_mass)
     except np.linalg.LinAlgError:
         L = np.linalg.cholesky(M)
         sizes, ways = np.linalg.eigh(np.linalg.solve(L, np.linalg.solve(L, added).T))
         ways = L.dot(ways)
-        whole = M + (ways * np.maximum(sizes, 0.0)).dot(ways.T)
-    return whole
+        effective_mass = M + (ways * np.maximum(sizes, 0.0)).dot(ways.T)
+    return effective_mass

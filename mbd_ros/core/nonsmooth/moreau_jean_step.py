@@ -169,22 +169,22 @@ class MoreauJeanStep:
             raise DivergedError(f"forces at t = {x.t:.9g} s are not finite")
         K = mass_with(M, slopes.added) if slopes.added.any() else M
         hold, goal, factor = self._bilateral(x, K, late, h)
-        held = ImpulseResponse(K, None, hold, factor)
-        free, _ = held.constrain(x.v + held.free(impulse), goal)
-        row_set, J, drift, gap, own = self._rows.at(x, free, h)
+        constrained = ImpulseResponse(K, None, hold, factor)
+        free, _ = constrained.constrain(x.v + constrained.free(impulse), goal)
+        row_set, J, drift, gap, offset = self._rows.at(x, free, h)
         drift = self._drift(x, J, drift)
         still = slopes.gain.dot(dz) - slopes.by_v.dot(x.v)
         known = goal, free, h, self._theta, slopes, still
         if not len(gap):
-            return StepProblem(x, M, held, row_set, J, gap, own, own, own, *known)
+            return StepProblem(x, M, constrained, row_set, J, gap, offset, offset, offset, *known)
         with np.errstate(invalid="ignore"):  # an end that is infinitely far, times 0
             back = np.minimum(self._return[1][row_set.at], 1.0 / h)
             back = np.where(row_set.pushes, 0.0, back * gap)
         early = self._theta * h  # from the start to the state where J and drift are known
-        rate = J.dot(x.v) + own - early * drift
+        rate = J.dot(x.v) + offset - early * drift
         gap = gap - early * (rate + 0.5 * early * drift)
-        bend, response = late * drift, self._rows.response(held, K, J)
-        end = own + bend + back
+        bend, response = late * drift, self._rows.response(constrained, K, J)
+        end = offset + bend + back
         return StepProblem(x, M, response, row_set, J, gap, rate, end, bend, *known)
 
     def _bilateral(
@@ -385,11 +385,11 @@ def rows_of_step(
 
 def returns(blocks: Sequence[RowBlock], gains: tuple[float, float] | None = None) -> Array:
     """Return rates [1/s] with which rows come back to 0, kp / kd, one a row; 0 without gains."""
-    found = [np.zeros(0)]
+    ratios = [np.zeros(0)]
     for block in blocks:
         kp, kd = (np.broadcast_to(gain, len(block.rows)) for gain in gains or block.gains)
-        found.append(np.divide(kp, kd, out=np.zeros(len(kp)), where=kd > 0.0))
-    return np.concatenate(found)
+        ratios.append(np.divide(kp, kd, out=np.zeros(len(kp)), where=kd > 0.0))
+    return np.concatenate(ratios)
 
 
 def first_closing(gap: Array, rate: Array, bent: Array) -> float:

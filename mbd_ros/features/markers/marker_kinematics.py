@@ -209,12 +209,14 @@ def targets_of(scene: Scene, task: KinematicsTask, times: Array) -> dict[str, Ar
         DataError: A recorded motion lacks the joint, or some of the times.
     """
     targets = {}
-    for name, one in _tasks(scene, task).items():
-        if one.from_motion and task.motion is not None:
+    for name, coordinate_task in _tasks(scene, task).items():
+        if coordinate_task.from_motion and task.motion is not None:
             targets[name] = _recorded(task.motion, name, times)
         else:
             start = float(scene.initial.q[scene.robot.joint(name).q])
-            targets[name] = np.full(len(times), start if one.value is None else one.value)
+            targets[name] = np.full(
+                len(times), start if coordinate_task.value is None else coordinate_task.value
+            )
     return targets
 
 

@@ -267,14 +267,14 @@ class _Band:
             slope[i : len(a) + i] += self._s2 * c[:, None] * a
         return slope
 
-    def step(self, at: Cost, slope: Array, held: Bools) -> Array:
+    def step(self, at: Cost, slope: Array, fixed: Bools) -> Array:
         """Newton's step; coordinates that are held do not move, shape (N, n)."""
         from scipy.linalg import solveh_banded  # here: only who asks for smoothness loads it
 
         N, n = slope.shape
         size, width = N * n, 2 * n
         flat = np.zeros((width + 1, size))  # lower form: flat[i - j, j]
-        free = ~held.ravel()
+        free = ~fixed.ravel()
         blocks = at.hessian
         for i in range(n):
             for j in range(i + 1):

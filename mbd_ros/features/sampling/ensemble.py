@@ -274,12 +274,12 @@ class Manifold:
 
     def close(self, places: list[Place], q: Array) -> tuple[Array, Marks]:
         """Configurations on the rows from those near them, and which were found, (chains,)."""
-        found: Marks = np.asarray(np.isfinite(q).all(axis=0))
+        is_closed: Marks = np.asarray(np.isfinite(q).all(axis=0))
         for part, place in zip(self.parts, places, strict=True):
             x, well = part.close(place, part.of(q))
             q = part.put(q, x)
-            found = found & well.reshape(part.block.copies, -1).all(axis=0)
-        return q, found
+            is_closed = is_closed & well.reshape(part.block.copies, -1).all(axis=0)
+        return q, is_closed
 
     def log_gram(self, places: list[Place]) -> Array:
         """Logarithm of det J M^-1 J', the sum of all blocks, shape (chains,)."""
@@ -345,7 +345,7 @@ class BlockRows:
             x: Coordinates off the rows.
         """
         size = np.sqrt(np.einsum("aib,aib->ab", place.J, place.J))
-        x, found = x.copy(), np.zeros(x.shape[1], dtype=np.bool_)
+        x, is_closed = x.copy(), np.zeros(x.shape[1], dtype=np.bool_)
         left, D, at = np.arange(x.shape[1]), place.D, x
         last = np.full(len(left), np.inf)
         with np.errstate(all="ignore"):
@@ -356,14 +356,14 @@ class BlockRows:
                 is_there |= (off <= _KEPT * self._scale) & (off >= 0.5 * last)
                 goes_on = ~is_there & np.isfinite(off)
                 if not goes_on.all():
-                    x[:, left], found[left] = at, is_there
+                    x[:, left], is_closed[left] = at, is_there
                     left, at, D, g = left[goes_on], at[:, goes_on], D[:, :, goes_on], g[:, goes_on]
                     size, off = size[:, goes_on], off[goes_on]
                     if not len(left):
                         break
                 slope = np.einsum("aib,cib->acb", self.block.jacobian(at), D)
                 at, last = at - np.einsum("aib,ab->ib", D, solve(slope, g)), off
-        return x, found
+        return x, is_closed
 
     def log_gradient(self, place: Place, x: Array) -> Array:
         """Gradient of 1/2 ln det A: the sum over rows a of H_a (A^-1 D)_a, shape (size, n)."""

@@ -173,16 +173,16 @@ def _profile(problem: SamplingProblem, say: Say, where: Where) -> dict[str, Any]
     forces = []
     for k, level in enumerate(levels):
         mine = done[k * len(blocks) : (k + 1) * len(blocks)]
-        values = np.concatenate([one.values for one in mine], axis=1)
+        values = np.concatenate([level_mean.values for level_mean in mine], axis=1)
         forces.append(mean_force(level, *values))
     profile, coordinate = free_energy(forces), problem.coordinate
     assert coordinate is not None
     units = (coordinate.unit, problem.sampled.energy)
-    for one, energy, error in zip(forces, *profile, strict=True):
+    for level_mean, energy, error in zip(forces, *profile, strict=True):
         say(
-            f"  {coordinate.name} {one.level:g}: mean force {one.force.mean:.6g} +- "
-            f"{one.force.error:.2g}, free energy {energy:.6g} +- {error:.2g} "
-            f"({one.force.effective:.0f} effective samples)"
+            f"  {coordinate.name} {level_mean.level:g}: mean force {level_mean.force.mean:.6g} +- "
+            f"{level_mean.force.error:.2g}, free energy {energy:.6g} +- {error:.2g} "
+            f"({level_mean.force.effective:.0f} effective samples)"
         )
     table = profile_table(coordinate.name, units, forces, profile)
     return {MAIN: table, PROFILE: table}
@@ -280,16 +280,21 @@ def _average_lines(
 ) -> Iterator[str]:
     sampled = problem.sampled
     degrees = degrees_of_freedom(sampled.space, sampled.start)
-    for (name, one), unit in zip(averages.items(), units, strict=True):
+    for (name, estimate), unit in zip(averages.items(), units, strict=True):
         word = f" {unit}" if unit else ""
         yield (
-            f"  {name}: {one.mean:.6g} +- {one.error:.2g}{word}, "
-            f"{one.effective:.0f} effective samples, split R-hat {one.rhat:.4f}"
+            f"  {name}: {estimate.mean:.6g} +- {estimate.error:.2g}{word}, "
+            f"{estimate.effective:.0f} effective samples, split R-hat {estimate.rhat:.4f}"
         )
         if name.startswith("energy.kinetic") and degrees:
             share = 2.0 / (degrees * problem.kT)
-            yield f"    {share * one.mean:.6g} +- {share * one.error:.2g} of the temperature"
-    apart = [n for n, one in averages.items() if one.rhat > _APART or one.effective < _FEW]
+            mean, error = share * estimate.mean, share * estimate.error
+            yield f"    {mean:.6g} +- {error:.2g} of the temperature"
+    apart = [
+        n
+        for n, estimate in averages.items()
+        if estimate.rhat > _APART or estimate.effective < _FEW
+    ]
     if apart:
         yield (
             f"chains do not agree on {', '.join(apart[:4])}: they are too short, or in components "
@@ -430,11 +435,11 @@ def profile_table(
     slope = f"{units[1]}/({units[0]})" if units[0] else units[1]
 
     def of(kind: str, field: str) -> Array:
-        return np.array([getattr(getattr(one, kind), field) for one in forces])
+        return np.array([getattr(getattr(level_force, kind), field) for level_force in forces])
 
     return Table(
         [
-            Column(name, np.array([one.level for one in forces]), units[0]),
+            Column(name, np.array([level_force.level for level_force in forces]), units[0]),
             Column("mean_force", of("force", "mean"), slope),
             Column("mean_force.standard_error", of("force", "error"), slope),
             Column("effective_samples", of("force", "effective")),

@@ -34,7 +34,7 @@ _COMPARED = 7  # points of a molecule of which all pairs are compared
 
 
 def sampled_scene(scene: Any) -> SampledScene:
-    """What of a scene is sampled.
+    """The sampled coordinates of a scene.
 
     Raises:
         SceneError: The scene has what an ensemble does not serve; says what.
@@ -155,7 +155,7 @@ def _circular(position: Observable) -> tuple[Observable, ...]:
 
 
 def sampled_particles(scene: Any) -> SampledScene:
-    """What of a scene of particles is sampled."""
+    """The sampled coordinates of a scene of particles."""
     system, units = scene.system(), scene.units
     space = ParticleSpace(system.kinds, system.pairs)
     firsts = list(_firsts(system.kinds))
@@ -199,7 +199,7 @@ def _bends(kind: Molecules, first: int) -> Iterator[Observable]:
 
 
 def _features(kind: Molecules, first: int, unit: str) -> Iterator[Observable]:
-    """What stays when molecules move as rigid bodies; all coordinates of those on surfaces."""
+    """Return the coordinates that stay when molecules move rigidly; all of those on surfaces."""
     names, n = kind.labels, len(kind.atoms)
     surfaces = [row for row in kind.rows if isinstance(row, SurfaceRow)]
     normal = _plane(surfaces, n)

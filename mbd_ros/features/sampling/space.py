@@ -1,4 +1,4 @@
-"""What is sampled: configurations of many chains at once, their rows and their energy."""
+"""The sampled space: configurations of many chains at once, their rows and their energy."""
 
 from __future__ import annotations
 

@@ -128,14 +128,14 @@ def _inside(points: Array) -> list[Array]:
     size = float(np.ptp(along)) or 1.0
     if sizes[-1] <= _LINE * sizes[0]:  # on a line: its ends
         return [(along - along.min()) / size, (along.max() - along) / size]
-    found = []
+    conditions = []
     for i, j in itertools.permutations(range(len(points)), 2):
         edge, from_i = points[j] - points[i], points - points[i]
         length = float(np.hypot(*edge))
         inside = (edge[0] * from_i[:, 1] - edge[1] * from_i[:, 0]) / max(length * size, TINY)
         if length > _LINE * size and (inside >= -_LINE).all():
-            found.append(inside)
-    return found
+            conditions.append(inside)
+    return conditions
 
 
 class Condition(NamedTuple):
@@ -274,7 +274,7 @@ class PartGuards:
             return np.zeros(0)
         system = self._system
         x = system.expand(y)._replace(mode=mode)
-        now, given, found = system.evaluate(x, u), system.loads.inputs(x, u), []
+        now, given, results = system.evaluate(x, u), system.loads.inputs(x, u), []
         for part, slots in self._parts:
             system.k.refresh(x.q, x.v, part.reads)
             values = np.asarray(part.guard_values(system.k, x, given, Now(now.a, now.lam[slots])))
@@ -283,8 +283,8 @@ class PartGuards:
                     f"{part.name} gives guard values of shape {values.shape}, guards: "
                     f"{len(part.guards)}"
                 )
-            found.append(values)
-        return np.concatenate(found)
+            results.append(values)
+        return np.concatenate(results)
 
     def sides(self, values: Array, slack: float, mode: Mode, left: Collection[int]) -> list[int]:
         """Return the side on which each guard is watched, 0 where it does not act.
@@ -295,14 +295,14 @@ class PartGuards:
             mode: The present one.
             left: Guards that were zero just now.
         """
-        found = []
+        signs = []
         for i, (guard, value) in enumerate(zip(self.guards, values.tolist(), strict=True)):
             side = -guard.direction or (1 if value > 0.0 else -1)
             is_left = i in left and guard.direction != 0
             acts = side * value > slack or is_left
             acts = acts and (guard.armed is None or guard.armed(mode))
-            found.append(side if acts else 0)
-        return found
+            signs.append(side if acts else 0)
+        return signs
 
     def acts(self, y: State, guard: int) -> bool:
         """Whether a guard acts at a state where it is zero."""

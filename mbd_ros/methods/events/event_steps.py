@@ -98,7 +98,7 @@ class EventSteps(Stepper):
         mode: Mode in which the next step goes on.
     """
 
-    kept = ("_last", "_u", "_followed", "mode")
+    checkpoint_fields = ("_last", "_u", "_followed", "mode")
 
     def __init__(self, field: ModeField, inner: Stepper, dt: float) -> None:
         self.field = field
@@ -246,7 +246,7 @@ class EventSteps(Stepper):
 
     def restore(self, checkpoint: Memory, x: State) -> None:
         """Go on as after the step at which a checkpoint was taken, with the same bits."""
-        super().restore({name: checkpoint[name] for name in self.kept}, x)
+        super().restore({name: checkpoint[name] for name in self.checkpoint_fields}, x)
         self._inner.follow(self.field.accelerator(self._followed), self._followed)
         self._inner.restore(checkpoint["inner"], x)
         self._clearance.known = checkpoint["room"]

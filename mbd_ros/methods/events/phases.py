@@ -124,13 +124,13 @@ class PhaseReset:
         """
         impulse, share = np.zeros(self._size), 1.0
         if self._level is not None:
-            found = self._level.impact(x, self._touching)
-            impulse[self._slots], share = found.p, found.share
-            x = x._replace(v=found.v)
+            result = self._level.impact(x, self._touching)
+            impulse[self._slots], share = result.p, result.share
+            x = x._replace(v=result.v)
             if not self._touching:  # what rounding leaves where masses are very unequal
-                found = self._level.impact(x, ())
-                impulse[self._slots] += found.p
-                x = x._replace(v=found.v)
+                result = self._level.impact(x, ())
+                impulse[self._slots] += result.p
+                x = x._replace(v=result.v)
             self._refuse_unheld(x, impulse[self._slots])
         if self.relabelling is not None:
             x = self.relabelling.after(x)
@@ -211,23 +211,29 @@ class PhaseGuards(Part):
 
     def __init__(self, name: str, exits: Sequence[Exit], checks: Sequence[Check]) -> None:
         self.name = name
-        crossed = [(one.crossing, one) for one in exits if one.crossing is not None]
+        crossed = [
+            (phase_exit.crossing, phase_exit)
+            for phase_exit in exits
+            if phase_exit.crossing is not None
+        ]
         self._crossings: list[Crossing] = [crossing for crossing, _ in crossed]
         self._crossings += [check.crossing for check in checks]
         self.guards = (
-            *(_guard(one) for _, one in crossed),
+            *(_guard(phase_exit) for _, phase_exit in crossed),
             *(Guard(check.name, -1, ends=True) for check in checks),
         )
-        self.reads = max((one.reads for one in self._crossings), default=Reads.NOTHING)
+        self.reads = max(
+            (phase_exit.reads for phase_exit in self._crossings), default=Reads.NOTHING
+        )
 
     def guard_values(self, k: Kinematics, x: State, u: Array, now: Now) -> Array:
         """Return the numbers of exits and checks, shape (n,)."""
         return np.array([one.value(k, x, now.lam) for one in self._crossings])
 
 
-def _guard(one: Exit) -> Guard:
-    condition = None if one.condition is None else one.condition.holds
-    return Guard(one.name, one.direction, condition=condition, ends=True)
+def _guard(phase_exit: Exit) -> Guard:
+    condition = None if phase_exit.condition is None else phase_exit.condition.holds
+    return Guard(phase_exit.name, phase_exit.direction, condition=condition, ends=True)
 
 
 class PhaseSteps(Stepper):
@@ -249,7 +255,7 @@ class PhaseSteps(Stepper):
 
     now: int
     since: float
-    kept = ("now", "since", "events_so_far", "_stepped", "_last", "_at_once")
+    checkpoint_fields = ("now", "since", "events_so_far", "_stepped", "_last", "_at_once")
 
     def __init__(
         self,
@@ -260,7 +266,7 @@ class PhaseSteps(Stepper):
         phases: tuple[Phase, ...] = system.phases
         self.phases = phases
         self._stepper_of = build_stepper
-        self._steppers = [build_stepper(one) for one in system.systems]
+        self._steppers = [build_stepper(phase_exit) for phase_exit in system.systems]
         self._used = set[int]()
         self.is_fixed = self.ends_at_samples = self._steppers[0].is_fixed
         timed = (label(p, e.name) for p in phases for e in p.exits if e.after is not None)
@@ -337,7 +343,7 @@ class PhaseSteps(Stepper):
 
     def restore(self, checkpoint: Memory, x: State) -> None:
         """Go on as after the step at which a checkpoint was taken."""
-        super().restore({name: checkpoint[name] for name in self.kept}, x)
+        super().restore({name: checkpoint[name] for name in self.checkpoint_fields}, x)
         y, known = self._inward(x), checkpoint["steppers"]
         for i in self._used - set(known):  # what is forgotten leaves a trace in their rounding
             self._steppers[i] = self._stepper_of(self.system.systems[i])
@@ -362,15 +368,15 @@ class PhaseSteps(Stepper):
         """Return the state in the next phase."""
         system, old = self.system, self.now
         phase = self.phases[old]
-        exit_ = next((e for e in phase.exits if label(phase, e.name) in fired), None)
-        if exit_ is None:
+        phase_exit = next((e for e in phase.exits if label(phase, e.name) in fired), None)
+        if phase_exit is None:
             failed = next(one for one in phase.checks if label(phase, one.name) in fired)
             raise SolveError(f"t = {y.t:.9g} s, phase {phase.name}: {failed.failure}")
         before = system.systems[old].expand(y)
-        struck = exit_.reset.after(before)
+        struck = phase_exit.reset.after(before)
         self._count(y.t)
-        self.now, self.since = exit_.then, y.t
-        after = self._entered(struck.x, u, phase, exit_)
+        self.now, self.since = phase_exit.then, y.t
+        after = self._entered(struck.x, u, phase, phase_exit)
         outer = self._outward(after)
         failures = {label(phase, check.name) for check in phase.checks}
         names = tuple(name for name in fired if name not in failures)
@@ -385,12 +391,12 @@ class PhaseSteps(Stepper):
         self._refuse_unheld(after, u)
         return outer
 
-    def _entered(self, x: State, u: Array | None, phase: Phase, exit_: Exit) -> State:
+    def _entered(self, x: State, u: Array | None, phase: Phase, phase_exit: Exit) -> State:
         """Return the first state of the phase that has just become the present one."""
         new, inner = self.phases[self.now], self._steppers[self.now]
         system = self.system.systems[self.now]
         y = system.reduce(x._replace(mode=()))
-        refuse_open(system, y, f"{label(phase, exit_.name)} leads to phase {new.name}")
+        refuse_open(system, y, f"{label(phase, phase_exit.name)} leads to phase {new.name}")
         pace = self._steppers[self._stepped].pace
         inner.restart()
         self._used.add(self.now)
@@ -459,16 +465,16 @@ def refuse_open(system: System, y: State, where: str) -> None:
     Raises:
         SolveError: Names the row that is most open.
     """
-    held = system.bilateral
-    if not held.rows:
+    rigid_rows = system.bilateral
+    if not rigid_rows.rows:
         return
-    g = held.residual(y.t, y.q)
-    rate = held.jacobian(y.t, y.q).dot(y.v) + held.rate(y.t, y.q)
+    g = rigid_rows.residual(y.t, y.q)
+    rate = rigid_rows.jacobian(y.t, y.q).dot(y.v) + rigid_rows.rate(y.t, y.q)
     fastest = 1.0 + float(np.abs(y.v).max(initial=0.0))
     for size, unit, accepted in ((g, "m or rad", 1.0), (rate, "m/s or rad/s", fastest)):
         worst = int(np.argmax(np.abs(size)))
         if not abs(size[worst]) <= ASSEMBLED * accepted:
             raise SolveError(
-                f"t = {y.t:.9g} s: {where}, whose row {held.rows[worst].name} is "
+                f"t = {y.t:.9g} s: {where}, whose row {rigid_rows.rows[worst].name} is "
                 f"{abs(size[worst]):.3g} {unit} open: its reset has to close it"
             )

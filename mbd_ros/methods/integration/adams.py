@@ -36,7 +36,7 @@ class AdamsSteps(Stepper):
     """
 
     can_stride = True
-    kept = ("_known", "_last", "_ready", "_u", "_start")
+    checkpoint_fields = ("_known", "_last", "_ready", "_u", "_start")
 
     def __init__(self, system: Any, order: int, dt: float) -> None:
         self._accelerate, self._needed = system.accelerator(), order - 1
@@ -143,7 +143,7 @@ class AdamsSteps(Stepper):
 
     def restore(self, checkpoint: Memory, x: State) -> None:
         """Go on as after the step at which a checkpoint was taken, with the same bits."""
-        super().restore({name: checkpoint[name] for name in self.kept}, x)
+        super().restore({name: checkpoint[name] for name in self.checkpoint_fields}, x)
         self._starter.restore(checkpoint["starter"], x)
         self._B[...], done = checkpoint["rows"]
         self._slots = cycle(self._turns)
@@ -272,11 +272,11 @@ def integrals(places: Sequence[float] | Array, theta: float) -> tuple[Array, Arr
 
 def _bases(places: Sequence[float] | Array) -> list[Array]:
     """Return the polynomials that are 1 at one place and 0 at the others, highest power first."""
-    found = []
+    bases = []
     for i, place in enumerate(places):
         basis = np.atleast_1d(np.poly(np.delete(places, i)))
-        found.append(basis / np.polyval(basis, place))
-    return found
+        bases.append(basis / np.polyval(basis, place))
+    return bases
 
 
 def powers(places: Sequence[float] | Array) -> tuple[Array, Array]:

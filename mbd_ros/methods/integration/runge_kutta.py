@@ -104,7 +104,7 @@ class RungeKutta(Stepper):
         before: State that the last step started from.
     """
 
-    kept: ClassVar[tuple[str, ...]] = ("before", "_after", "_u", "_h", "_K", "_known")
+    checkpoint_fields: ClassVar[tuple[str, ...]] = ("before", "_after", "_u", "_h", "_K", "_known")
 
     def __init__(self, system: Any, tableau: Tableau, dt: float) -> None:
         self._chart, self._accelerate = system.chart, system.accelerator()
@@ -221,7 +221,7 @@ class AdaptiveRungeKutta(RungeKutta):
         tolerance: Relative and absolute.
     """
 
-    kept = (*RungeKutta.kept, "_length", "_last_error")
+    checkpoint_fields = (*RungeKutta.checkpoint_fields, "_length", "_last_error")
     is_fixed = False
 
     def __init__(self, system: Any, tableau: Tableau, dt: float, tolerance: float) -> None:

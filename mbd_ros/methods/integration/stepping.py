@@ -89,7 +89,7 @@ class Stepper:
     """A method at work on one system with one step size.
 
     Attributes:
-        kept: Names of the attributes on which later steps depend, for checkpoints.
+        checkpoint_fields: Names of the attributes on which later steps depend, for checkpoints.
         system: The system that the steps follow, where it is not the one they were prepared for.
         is_fixed: Whether steps are as long as dt, those apart that end early.
         ends_at_samples: Whether a step that follows one which ended early ends at the next sample,
@@ -101,7 +101,7 @@ class Stepper:
 
     can_stride: bool = False
     system: Any = None
-    kept: ClassVar[tuple[str, ...]] = ()
+    checkpoint_fields: ClassVar[tuple[str, ...]] = ()
     is_fixed: bool = True
     ends_at_samples: bool = False
     guards: tuple[str, ...] = ()
@@ -183,7 +183,7 @@ class Stepper:
 
     def checkpoint(self) -> Memory:
         """Return what later steps depend on beside their arguments, as a value of its own."""
-        return {name: copied(getattr(self, name)) for name in self.kept}
+        return {name: copied(getattr(self, name)) for name in self.checkpoint_fields}
 
     def restore(self, checkpoint: Memory, x: State) -> None:
         """Go on as after the step at which a checkpoint was taken, with the same bits.
@@ -334,19 +334,19 @@ class BlockStepper(Stepper):
         """
         raise NotImplementedError
 
-    def samples(self, times: Any, held: HeldTable, steps: int, most: int) -> SampleBlock:
+    def samples(self, times: Any, hold: HeldTable, steps: int, most: int) -> SampleBlock:
         """Return the samples after the newest one.
 
         Args:
             times: The `SampleTimes` of the run.
-            held: Inputs from where the run stands on.
+            hold: Inputs from where the run stands on.
             steps: How many steps may be taken.
             most: How many samples may be taken.
         """
         raise NotImplementedError
 
     def full_run(
-        self, y: State, first: Array, times: Any, held: HeldTable, steps: int
+        self, y: State, first: Array, times: Any, hold: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
         """Return what takes a run from its start to its end at once, again and again.
 
@@ -356,7 +356,7 @@ class BlockStepper(Stepper):
             y: What is integrated at the start.
             first: The first row.
             times: The `SampleTimes` of the run.
-            held: Inputs of the whole run.
+            hold: Inputs of the whole run.
             steps: How many steps may be taken.
         """
         raise NotImplementedError

@@ -44,7 +44,7 @@ def windows(motion: ContactMotion, method: Integrator, dt: float) -> list[Window
         method: What integrates it.
         dt: Its step [s].
     """
-    found = []
+    entries = []
     for group in motion.parted():
         ends = ends_of(group, method, dt)
         for part in dict.fromkeys(feature.part for feature in group.features):
@@ -52,13 +52,13 @@ def windows(motion: ContactMotion, method: Integrator, dt: float) -> list[Window
             k, depth, load = part.normal.stiffness, part.max_penetration, max(loads)
             lower = part.normal.least(load, depth) if depth else 0.0
             opening = longest(group, method, lower / k) if lower > k * ends.share else math.inf
-            found.append(
+            entries.append(
                 Window(
                     *(part, len(loads), load, lower, k * ends.share, k * ends.impacts),
                     *(ends.longest, opening),
                 )
             )
-    return found
+    return entries
 
 
 def ends_of(motion: ContactMotion, method: Integrator, dt: float) -> Ends:
@@ -206,11 +206,11 @@ def touching_motion(
     answer = _answer(system, still, now, np.column_stack((J.T, pushed)))
     A, free = J.dot(answer[:, :-1]), now.a - answer[:, -1]
     loads = _at_rest(A[::3, ::3], J[::3].dot(free))
-    found = [
+    features = [
         Feature(part, slot, load if part.max_force is None else part.max_force)
         for (part, slot), load in zip(slots, loads.tolist(), strict=True)
     ]
-    return ContactMotion(found, A)
+    return ContactMotion(features, A)
 
 
 def _rows(system: System, slots: Sequence[tuple[Any, int]]) -> Array:
@@ -253,11 +253,11 @@ def _at_rest(A: Array, approach: Array) -> Array:
     loads, pushing = np.zeros(len(A)), np.arange(len(A))
     while len(pushing):
         block = A[np.ix_(pushing, pushing)]
-        found = np.linalg.lstsq(block, -approach[pushing], rcond=redundant(len(A)))[0]
-        if (found >= 0.0).all():
-            loads[pushing] = found
+        pressures = np.linalg.lstsq(block, -approach[pushing], rcond=redundant(len(A)))[0]
+        if (pressures >= 0.0).all():
+            loads[pushing] = pressures
             break
-        pushing = pushing[found > 0.0]
+        pushing = pushing[pressures > 0.0]
     return loads
 
 
@@ -271,11 +271,11 @@ def pressed_motion(
     k, now = system.k, system.evaluate(x, u)
     k.refresh(x.q, x.v, Reads.JACOBIAN)
     loads = [(part, part.multipliers(k, x)[::3].tolist()) for part in parts]
-    found = [Feature(part, i, f) for part, of in loads for i, f in enumerate(of) if f > 0.0]
-    if not found:
+    features = [Feature(part, i, f) for part, of in loads for i, f in enumerate(of) if f > 0.0]
+    if not features:
         return None
-    J = _rows(system, [feature[:2] for feature in found])
-    return ContactMotion(found, J.dot(_answer(system, x, now, J.T)))
+    J = _rows(system, [feature[:2] for feature in features])
+    return ContactMotion(features, J.dot(_answer(system, x, now, J.T)))
 
 
 class Feature(NamedTuple):

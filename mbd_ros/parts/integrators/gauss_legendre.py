@@ -68,7 +68,17 @@ def _tableau(stages: int) -> tuple[Array, Array, Array]:
 
 
 class _Steps(Stepper):
-    kept = ("_is_fresh", "_is_slow", "_h", "_K", "_turn", "_inverse", "_slopes", "_x", "_after")
+    checkpoint_fields = (
+        "_is_fresh",
+        "_is_slow",
+        "_h",
+        "_K",
+        "_turn",
+        "_inverse",
+        "_slopes",
+        "_x",
+        "_after",
+    )
 
     def __init__(self, method: GaussLegendre, system: Any, dt: float) -> None:
         self._system = system

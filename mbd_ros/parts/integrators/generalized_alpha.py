@@ -62,7 +62,17 @@ class GeneralizedAlpha(Integrator):
 
 
 class _Steps(Stepper):
-    kept = ("_h", "_is_slow", "_a0", "_vdot0", "_lam0", "_inverse", "_of_q", "_of_g", "_u")
+    checkpoint_fields = (
+        "_h",
+        "_is_slow",
+        "_a0",
+        "_vdot0",
+        "_lam0",
+        "_inverse",
+        "_of_q",
+        "_of_g",
+        "_u",
+    )
 
     def __init__(self, method: GeneralizedAlpha, system: Any, dt: float) -> None:
         self._system = system

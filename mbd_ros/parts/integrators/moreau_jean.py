@@ -43,7 +43,7 @@ class MoreauJean(Integrator):
 
 
 class _Steps(Stepper):
-    kept: ClassVar[tuple[str, ...]] = ("impulses", "shared")
+    checkpoint_fields: ClassVar[tuple[str, ...]] = ("impulses", "shared")
 
     def __init__(self, system: Any, theta: float, dt: float) -> None:
         step = FreeBodyStep if system.robot.bases else MoreauJeanStep

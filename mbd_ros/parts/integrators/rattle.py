@@ -60,7 +60,7 @@ class Rattle(Integrator):
 
 
 class _Steps(Stepper):
-    kept = ("_last",)
+    checkpoint_fields = ("_last",)
 
     def __init__(self, system: Any, tolerance: float, dt: float) -> None:
         self._system = system
@@ -84,7 +84,7 @@ class _Steps(Stepper):
 
     def restore(self, checkpoint: Memory, x: State) -> None:
         """Take up what an earlier step has kept, the corrections of its Verlet steps included."""
-        super().restore({name: checkpoint[name] for name in self.kept}, x)
+        super().restore({name: checkpoint[name] for name in self.checkpoint_fields}, x)
         self._verlet.restore(checkpoint["verlet"])
 
     def step(self, x: State, u: Array | None, end: float = math.inf) -> State:

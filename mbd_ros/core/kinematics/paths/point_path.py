@@ -230,18 +230,18 @@ class SwitchedPath(Path):
 
     def length(self, k: Kinematics, x: State) -> float:
         """Return l [m]."""
-        return self._asked(k, x, "length")
+        return self._evaluate(k, x, "length")
 
     def measured(self, k: Kinematics, x: State) -> tuple[float, Array]:
         """The l [m] and J, shape (nv,)."""
-        return self._asked(k, x, "measured")
+        return self._evaluate(k, x, "measured")
 
     def drift(self, k: Kinematics, x: State) -> float:
         """J' v [m/s^2]."""
-        return self._asked(k, x, "drift")
+        return self._evaluate(k, x, "drift")
 
     def pulls(self, k: Kinematics, x: State) -> tuple[Pull, ...]:
-        """What a tension of 1 N exerts on bodies; of both paths where nobody knows which it is."""
+        """Return the forces of a tension of 1 N on bodies, for both paths while either may act."""
         there = k.where(self._interval.holds(k, x), 1.0, 0.0)
         shares = (self._inside, there), (self._outside, 1.0 - there)
         return tuple(
@@ -253,7 +253,7 @@ class SwitchedPath(Path):
 
     def lines(self, k: Kinematics, x: State) -> tuple[Array, ...]:
         """Corners of the path that there is."""
-        return self._asked(k, x, "lines")
+        return self._evaluate(k, x, "lines")
 
     def corners(self) -> Sequence[ViaPoint]:
         """All points of the path inside, which has more than the other one; none with wraps."""
@@ -270,7 +270,7 @@ class SwitchedPath(Path):
         lengths[~there], slopes[~there] = outside
         return lengths, slopes
 
-    def _asked(self, k: Kinematics, x: State, what: str) -> Any:
+    def _evaluate(self, k: Kinematics, x: State, what: str) -> Any:
         inside, outside = getattr(self._inside, what), getattr(self._outside, what)
         there = self._interval.holds(k, x)
         return k.either(there, lambda: inside(k, x), lambda: outside(k, x))

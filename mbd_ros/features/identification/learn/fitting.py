@@ -236,7 +236,7 @@ def _choose_adapters(
 
 
 class AdapterChoice(NamedTuple):
-    """What an adapted model uses beside the corrections.
+    """Statistics that an adapted model uses beside the corrections.
 
     Attributes:
         uses_earlier_samples: Whether corrections are fitted to samples of the earlier model too.

@@ -335,9 +335,9 @@ class ScaledUrdf:
             R = rotation_matrix(_numbers(origin, "rpy"))
             xyz = np.array(_numbers(origin, "xyz"))
             begins = self._is_segment(child)
-            own = self._factors.get(child, np.ones(3)) if begins else factor
+            factors = self._factors.get(child, np.ones(3)) if begins else factor
             if begins and not self._is_segment(link):  # the place of the joint in the child
-                xyz = R @ (own * (R.T @ xyz))
+                xyz = R @ (factors * (R.T @ xyz))
             else:
                 xyz = turn.T @ (factor * (turn @ xyz))
             origin.set("xyz", " ".join(map(repr, xyz.tolist())))
@@ -346,22 +346,22 @@ class ScaledUrdf:
                 along = turn @ R @ np.array(_numbers(axis, "xyz", (1.0, 0.0, 0.0)))
                 along /= np.linalg.norm(along)
                 self.stretch[joint.get("name", "")] = float(np.linalg.norm(factor * along))
-            self._place(child, own, np.eye(3) if begins else turn @ R, tree)
+            self._place(child, factors, np.eye(3) if begins else turn @ R, tree)
 
     def _is_segment(self, link: str) -> bool:
         return link in self._factors or self._links[link].find("inertial") is not None
 
     def _scale_masses(self, mass: float | None, by_volume: bool) -> float:
-        found = {
+        bodies = {
             n: e for n, link in self._links.items() if (e := link.find("inertial")) is not None
         }
-        before = {name: _value(e, "mass", "value") for name, e in found.items()}
-        factors = {name: self._factors.get(name, np.ones(3)) for name in found}
-        volumes = {n: float(factors[n].prod()) if by_volume else 1.0 for n in found}
+        before = {name: _value(e, "mass", "value") for name, e in bodies.items()}
+        factors = {name: self._factors.get(name, np.ones(3)) for name in bodies}
+        volumes = {n: float(factors[n].prod()) if by_volume else 1.0 for n in bodies}
         total = sum(before.values())
-        new = sum(before[name] * volumes[name] for name in found)
+        new = sum(before[name] * volumes[name] for name in bodies)
         share = (total if mass is None else mass) / new if new else 1.0
-        for name, element in found.items():
+        for name, element in bodies.items():
             after = before[name] * volumes[name] * share
             _scale_inertia(element, factors[name], before[name], after)
         return total
