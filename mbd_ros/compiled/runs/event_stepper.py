@@ -68,12 +68,12 @@ class EventStepper(EventSteps, BlockStepper):
 
     @property
     def plain_steps(self) -> int:
-        """As `BlockStepper.plain_steps`; others were native ones that Python has searched."""
+        """Number of plain steps; the others were native ones that Python has searched."""
         return self._native.integrated_plainly
 
     @property
     def state(self) -> State:
-        """What is integrated, before a step that is to be searched."""
+        """Return the integrated state before a step that is to be searched."""
         if self._is_new:
             self._is_new = False
             if self._is_behind:
@@ -246,7 +246,7 @@ class ModeStepper(NativeStepper):
         return self._is_plain
 
     def follow(self, accelerate: Any, mode: Mode = ()) -> None:
-        """As `Stepper.follow`."""
+        """Follow other accelerations from the next step on."""
         self._plain.follow(accelerate, mode)
         self.mode, self.is_compiled = mode, bool(mode)
         if self.is_compiled:
@@ -278,7 +278,7 @@ class ModeStepper(NativeStepper):
         return after
 
     def newest_state(self) -> State:
-        """What is integrated after the last native step, in its mode."""
+        """Return the integrated state after the last native step, in its mode."""
         self._last = after = self.run.state()._replace(mode=self.mode)
         self._is_plain = False  # the event stepper runs native steps by itself, too
         return after
@@ -307,14 +307,14 @@ class ModeStepper(NativeStepper):
         return self.run.inside(t)._replace(mode=self.mode)
 
     def margin_within(self, which: tuple[int, int]) -> Callable[[float], float] | None:
-        """As `Stepper.margin_within`, where native code has taken the step."""
+        """Return a margin within a step that native code has taken."""
         number = self._keys.get(which)
         if self._is_plain or number is None:
             return None
         return lambda t: self.run.margin_within(t, number)
 
     def margin_again(self, which: tuple[int, int]) -> Callable[[float, float], float] | None:
-        """As `Stepper.margin_again`, where native code has taken the step."""
+        """Return a margin again, for a step that native code has taken."""
         number = self._keys.get(which)
         if self._is_plain or number is None:
             return None
@@ -322,7 +322,7 @@ class ModeStepper(NativeStepper):
         return lambda h, t: self.run.margin_again(h, t, number)
 
     def first_event(self, left: Collection[int]) -> tuple[float, int] | None:
-        """As `Stepper.first_event`, where native code has taken the step."""
+        """Return the first event of a step that native code has taken."""
         if self._is_plain or not self.run.sizes.contacts:
             return None
         h, row = self.run.first_event(self._is_gap, left)

@@ -258,7 +258,7 @@ class NativeRun(RunMemory):
     def full_run(
         self, y: State, first: Array, times: SampleTimes, inputs: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
-        """What takes a run from its start to its end in one call, with as little else as can be.
+        """A whole run in one call of native code.
 
         It returns rows as `samples` does, and None where the run stopped earlier.
 
@@ -335,7 +335,7 @@ class NativeRun(RunMemory):
 
 
 class Sizes(NamedTuple):
-    """What the integrators are compiled for, as `native/run.h` names it.
+    """Options that the integrators are compiled for, as `native/run.h` names them.
 
     Attributes:
         nq: Size of a configuration of what is integrated.

@@ -56,7 +56,7 @@ class NativeStepper(BlockStepper):
 
     @property
     def state(self) -> State:
-        """What is integrated, after the last step."""
+        """The integrated state after the last step."""
         if self._last is None:
             self._last = self._run.state()
         return self._last
@@ -75,7 +75,7 @@ class NativeStepper(BlockStepper):
     def full_run(
         self, y: State, first: Array, times: Any, inputs: HeldTable, steps: int
     ) -> Callable[[], Array | None]:
-        """What takes a run from its start to its end at once, again and again."""
+        """Return a function that takes whole runs in one call."""
         take = self._run.full_run(y, first, times, inputs, steps)
 
         def compute() -> Array | None:

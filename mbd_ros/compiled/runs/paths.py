@@ -97,7 +97,7 @@ def _flat(points: Array, places: Sequence[Placed]) -> Array:
 
 
 class StatePaths:
-    """What paths through points and over surfaces do, beside a `Data` that has its Jacobians.
+    """Lengths and forces of paths through points and over surfaces, from Jacobians of a `Data`.
 
     One library serves all scenes with wraps, another one those without.
 

@@ -92,7 +92,7 @@ class AdamsOfC(ctypes.Structure):
 
 
 class OptionsOfC(ctypes.Structure):
-    """What stays the same in a run."""
+    """Constants of a run."""
 
     _fields_ = [
         *((n, _LONG) for n in ("method", "is_adaptive", "smooth")),

@@ -123,13 +123,13 @@ class ProjectorPipeline:
     def details(self) -> dict[str, str]:
         """Origin of the newest state, for diagnostics."""
         robot, newest = self.scene.robot, self._newest
-        held, missing = self.reconstructor.held_joints, self.reconstructor.missing
+        held_names, missing = self.reconstructor.held_joints, self.reconstructor.missing
         solves, qp = self._projector.statistics
         position, velocity, excess = (f"{value:.6g}" for value in self._worst)
         return {
             "joints dropped": ", ".join(robot.locked) or "none",
-            "joints reconstructed": ", ".join(n for n in missing if n not in held) or "none",
-            "joints held": ", ".join(held) or "none",
+            "joints reconstructed": ", ".join(n for n in missing if n not in held_names) or "none",
+            "joints held": ", ".join(held_names) or "none",
             "limits": "kept" if len(self._limited) else "not kept",
             "limits acting": ", ".join(self._active_limits()) or "none",
             "largest position violation": position,

@@ -34,11 +34,11 @@ def with_files(part: type, entry: Mapping[str, Any], where: str, folder: Path) -
     return arguments
 
 
-def physics_beside(scene: Scene, said: About) -> dict[str, list[float]]:
+def physics_beside(scene: Scene, description: About) -> dict[str, list[float]]:
     """Return the forces of the scene beside a learned model, see `physics_of`."""
     forces = scene.parts.get("forces", ())
     others = [part for part in forces if not is_learned(part)]
-    return physics_of(scene.robot, scene.couplings, others, said)
+    return physics_of(scene.robot, scene.couplings, others, description)
 
 
 def is_learned(part: Load) -> bool:
