@@ -211,7 +211,10 @@ def test_topics_that_ros_knows_are_taken(write, topic):
         ("  \n", "robot: topic /rd: robot description is empty"),
         ("<robot", "robot: topic /rd: not well-formed XML"),
         ("<!DOCTYPE a><robot/>", "robot: topic /rd: DOCTYPE and ENTITY declarations are refused"),
-        ("x" * (MAX_CHARACTERS + 1), f"robot: topic /rd: {MAX_CHARACTERS + 1} characters, accep"),
+        (
+            "x" * (MAX_CHARACTERS + 1),
+            f"robot: topic /rd: has {MAX_CHARACTERS + 1} characters, accep",
+        ),
         (LEG.replace('mass value="', 'mass value="-'), "topic /rd: link 'residual_limb': mass is"),
     ],
 )

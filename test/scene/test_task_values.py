@@ -189,7 +189,7 @@ def test_what_is_wrong_with_a_prediction_is_named(tmp_path, case):
 def test_the_speed_of_several_positions_is_refused(tmp_path):
     text = PREDICTED.replace("type: speed, of: cart.position", 'type: speed, of: "*.position"')
     scene = load_scene("cart_pole")
-    with pytest.raises(MbdError, match="goal speed: '\\*.position' is cart.position, pole"):
+    with pytest.raises(MbdError, match="goal speed: '\\*.position' matches cart.position, pole"):
         build_problem(scene, parts_of(mapping_of(text, "task"), scene, tmp_path)["predict"])
 
 

@@ -53,7 +53,7 @@ def test_a_mode_has_the_accelerations_multipliers_and_margins_of_the_plain_tier(
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("controlled_leg", "in a mode only"), ("sphere_on_plane", "contacts that slip")],
+    [("controlled_leg", "only in a given mode"), ("sphere_on_plane", "contacts that slip")],
 )
 def test_rows_without_a_form_are_named(name, message):
     system = scene_of(name).system()

@@ -214,10 +214,9 @@ OTHERS = (  # what unknowns of a program are limited to, and where a file begins
     "mbd_ros/optimal_control",
     "mbd_ros/features/prediction",
     "mbd_ros/features/loads",
-    "mbd_ros/features/prediction/task.py",
-    "mbd_ros/features/prediction/task.py",
 )
-OPTIONS = {"batch", "task"}  # of `mbd-ros inverse --bounds`: whether, not which
+# Bounds of states in a moving horizon; of tasks, whether `mbd-ros inverse` has --bounds.
+OPTIONS = {"batch", "task", "node", "process"}
 
 
 def doors(source):

@@ -138,7 +138,7 @@ def test_joint_that_lacks_in_a_scene_without_loops_is_named():
     position = np.zeros((3, 2))
     position[:, 1] = np.nan
     motion = Motion(names, np.arange(3) * 1000, position, velocity=np.zeros((3, 2)))
-    with pytest.raises(DataError, match=f"no position of {names[1]}, and no loop gives it"):
+    with pytest.raises(DataError, match=f"no position of {names[1]}, and no loop determines it"):
         close_loops(scene, "m.parquet", Recording(motion, Counter()))
 
 

@@ -139,7 +139,7 @@ def test_a_limited_motor_leaves_the_rest_to_the_others():
 def test_limits_that_are_too_small_are_refused_with_their_motors():
     with pytest.raises(SolveError, match=r"within the bounds of crank\.effort"):
         solved(limited(1.0, joints=("crank",)))
-    with pytest.raises(ModelError, match="one number > 0"):
+    with pytest.raises(ModelError, match="effort limits must be 3 numbers > 0"):
         solved(limited(1.0, -1.0, 1.0))
 
 
