@@ -159,7 +159,7 @@ class LiveSharing:
         measured: Activations measured for the next sample, NaN where none was, shape (n,).
     """
 
-    moved = 0.0
+    correction = 0.0
 
     def __init__(
         self,
